@@ -245,6 +245,19 @@ function T.test_stamps_without_a_date()
 end
 
 -- Without a base, that in which more lines are frames.
+-- Editors of Windows put it in front of UTF-8, whatever the head.
+function T.test_a_byte_order_mark()
+  local frame = "0.1 1 8404000x Rx d 1 A2\r\n"
+  for _, head in ipairs { HEAD, "base hex  timestamps absolute\n", "", "// remark\n" } do
+    local plain, marked = frames(head .. frame .. frame), frames("\239\187\191" .. head .. frame .. frame)
+    lu.assertEquals(#plain, 2)
+    lu.assertEquals(#marked, 2)
+    for i, one in ipairs(plain) do
+      lu.assertEquals({ marked[i].seconds, marked[i].bytes }, { one.seconds, one.bytes })
+    end
+  end
+end
+
 function T.test_base_without_a_head()
   for line, data in pairs { ["Rx d 2 10 11"] = "\16\17",
     ["Rx d 2 160 11"] = "\160\11", ["Rx d 2 a0 11"] = "\160\17" } do

@@ -27,6 +27,7 @@ local function new_capture(with)
     name = function(_, bus) return bus and "can" .. bus - 1 or nil end,
     lacks_times = function() return false end,
     lacks_clock = function() return false end,
+    stamps_differ = function() return true end,
   }
   types:use(catalogue_of.assign(TAURUS, {}), (sources.parse("", TAURUS)), {}, function() end)
   types:reset(with and with.several or false)

@@ -8,8 +8,11 @@ local T = {}
 
 local MOTOR = { id = 0x210, message = { every = 0.1 } }
 
-local function new(lacks_clock)
-  return copies_of.new { lacks_clock = function() return lacks_clock or false end }
+local function new(lacks_clock, stamps_differ)
+  return copies_of.new {
+    lacks_clock = function() return lacks_clock or false end,
+    stamps_differ = function() return stamps_differ or false end,
+  }
 end
 
 -- Find what rows { seconds, payload, source, seq } are copies of: their keys are 1, 2, ...; "-" for none.  The first
@@ -101,11 +104,22 @@ end
 -- Without times of packets, all messages come at once; so do they until the time advances.
 function T.test_captures_without_times()
   lu.assertEquals(found({ { 0, "a" }, { 0, "a" } }, true), { "-", "-" })
-  local copies, list = copies_of.new { lacks_clock = function() return false end }, {}
+  local copies, list = new(), {}
   for key, time in ipairs { 0, 0, 0, 5, 5 } do
     list[key] = copies:find({ key = key, time = time, payload = "a", source = MOTOR, seq = 0 }, true) or "-"
   end
   lu.assertEquals(list, { "-", "-", "-", "-", 4 })
+end
+
+-- If the file has another stamp, the first packet's stamp means something, too.
+function T.test_the_first_message_of_a_capture_twice()
+  for stamps_differ, expected in pairs { [true] = { "-", 1, 1 }, [false] = { "-", "-", "-" } } do
+    local copies, list = new(false, stamps_differ), {}
+    for key = 1, 3 do
+      list[key] = copies:find({ key = key, time = 0, payload = "a", source = MOTOR, seq = 0 }, true) or "-"
+    end
+    lu.assertEquals(list, expected)
+  end
 end
 
 return T

@@ -1178,6 +1178,26 @@ function T.test_stamps_of_two_recorders_that_alternate()
   lu.assertEquals(#found("events,json", "clock", records, {}), 10)
 end
 
+-- The stamps of RIGHT are so many seconds ahead.  The capture ends with LEFT, or with RIGHT: nobody is silent to the end.
+-- RIGHT is, if it stops 0.5 s before the end.
+function T.test_the_last_silence_by_the_stamps_of_two_recorders()
+  for _, ahead in ipairs { 6.2, -6.2, 0.35, -0.35, 3600 } do
+    for _, count in ipairs { 20, 16 } do
+      local records = {}
+      for i = 0, 20 do
+        records[#records + 1] = record(#records + 1, i * 0.1)
+        if i <= count then records[#records + 1] = record(#records + 1, i * 0.1 + 0.01 + ahead, { source = RIGHT }) end
+      end
+      local is_silent = count < 20
+      for _, row in ipairs(verdicts("silence=0,motor.gap=0.15", records)) do
+        local is_wrong = row:find("false", 1, true) ~= nil
+        lu.assertEquals(is_wrong, is_silent and row:find("left", 1, true) == nil and row:find("unknown") == nil,
+          ahead .. " " .. row)
+      end
+    end
+  end
+end
+
 -- A step back for good: what is silent from then on is silent to the capture's true end.
 function T.test_a_clock_that_goes_back_for_good()
   local records = { record(1, 0), record(2, 0.1), record(3, 0.2) }

@@ -218,22 +218,27 @@ local function read_record(log, line, offset)
   return record
 end
 
--- Return how many lines are frames, and how many may be damaged ones or another format's; and
--- whether the extended frames are of several channels.
-local function count_lines(lines, base)
-  local frames, others, channel, has_several = 0, 0, nil, false
+-- Read the first lines by a base.
+-- returns  { base; frames = how many lines are frames; others = how many may be damaged ones or
+--          another format's; has_several = whether the extended frames are of several channels;
+--          stamps_differ = whether the stamps of frames do }
+local function survey(lines, base)
+  local found = { base = base, frames = 0, others = 0, has_several = false, stamps_differ = false }
+  local channel, first
   for line in lines:gmatch("[^\r\n]+") do
-    local record, _, why = M.parse(line, base)
+    local record, stamp, why = M.parse(line, base)
     if record then
-      frames = frames + 1
+      found.frames = found.frames + 1
+      first = first or stamp
+      found.stamps_differ = found.stamps_differ or stamp ~= first
       local its_channel = record.id >= text.EXTENDED and record.bus or channel
       channel = channel or its_channel
-      has_several = has_several or its_channel ~= channel
+      found.has_several = found.has_several or its_channel ~= channel
     elseif why then
-      others = others + 1
+      found.others = found.others + 1
     end
   end
-  return frames, others, has_several
+  return found
 end
 
 -- Return whether lines begin as ASC does, with a date, a base, a comment or a time; and what they
@@ -252,24 +257,22 @@ end
 
 local BASES = { hex = 16, dec = 10 } -- of ids and data
 
--- Return what the first lines of a file say, nil if it is not ASC: { base = of its ids and data,
--- is_relative = whether times are those since the line before, has_several = channels }.  A file
--- whose head says no base needs more frames than other lines.  Its base is that in which more lines
--- are frames: "160 107" is not hexadecimal.
+-- Read the first lines by the base in which more of them are frames: "160 107" is not hexadecimal.
+local function survey_both(lines)
+  local in_hex, in_dec = survey(lines, BASES.hex), survey(lines, BASES.dec)
+  return in_dec.frames > in_hex.frames and in_dec or in_hex
+end
+
+-- Return what the first lines of a file say, nil if it is not ASC: what survey returns, and
+-- is_relative = whether times are those since the line before.  A file whose head says no base
+-- needs more frames than other lines.
 local function recognise(head)
-  local lines = #head < HEAD and head or head:match("^.*\n") or ""
+  local lines = (#head < HEAD and head or head:match("^.*\n") or ""):gsub("^\239\187\191", "")
   local is_asc, said, rest = read_head(lines)
   if not is_asc or said and not BASES[said] then return nil end
-  local found = { base = BASES[said or "hex"] }
+  local found = said and survey(lines, BASES[said]) or survey_both(lines)
   found.is_relative = (rest or ""):find("^%s*timestamps%s+relative") ~= nil
-  local frames, others
-  frames, others, found.has_several = count_lines(lines, found.base)
-  if said then return found end
-  local in_dec, others_in_dec, has_several = count_lines(lines, BASES.dec)
-  if in_dec > frames then
-    frames, others, found.base, found.has_several = in_dec, others_in_dec, BASES.dec, has_several
-  end
-  return frames > others and found or nil
+  return (said or found.frames > found.others) and found or nil
 end
 
 --- Open a file if it is ASC.

@@ -278,6 +278,17 @@ local function are_deltas(records)
   return 10 * falls > #records
 end
 
+-- Return whether not all records have the time stamp of the first one.
+local function do_stamps_differ(records)
+  local first = records[1]
+  for _, record in ipairs(records) do
+    if record.seconds ~= first.seconds or record.nanoseconds ~= first.nanoseconds then
+      return true
+    end
+  end
+  return false
+end
+
 -- Cut text behind its last line end.  At the end of the file all of it is lines.
 local function whole_lines(piece, at_end)
   local lines = piece:match("^.*\n") or ""
@@ -302,7 +313,7 @@ end
 
 -- Return what the first lines of a file say, or nil if they are not candump's: { deltas = whether
 -- the times are those since the frame before, decimals = 6 or 9, bus = name of the first one,
--- has_several = whether there are others }.
+-- has_several = whether there are others, stamps_differ = whether not all stamps are equal }.
 local function recognise(lines)
   local records, others = {}, {}
   local found = { decimals = 6, has_several = false }
@@ -318,7 +329,7 @@ local function recognise(lines)
       others[#others + 1] = line
     end
   end
-  found.deltas = are_deltas(records)
+  found.deltas, found.stamps_differ = are_deltas(records), do_stamps_differ(records)
   return #records > #others and found or nil
 end
 
@@ -441,8 +452,9 @@ end
 --          that gets right; by_value = whether that reader goes by the value of an id, as 4.6 does;
 --          report = function(text), called with what is to be said of a line }
 -- returns  a log with read and seek_read, and { decimals = 6 or 9, of the times; has_several =
---          whether its first lines have several buses; drops = as readers.log returns them }.
---          Otherwise nil, and the name of the bus if Wireshark's own reader gets the log right
+--          whether its first lines have several buses; stamps_differ, drops = as readers.log
+--          returns them }.  Otherwise nil, and if Wireshark's own reader gets the log right, what
+--          readers.log returns: { plain_bus, stamps_differ }
 function M.open(file, options)
   local head = file:read(HEAD) or ""
   if head:find("\0", 1, true) then return nil end
@@ -452,7 +464,9 @@ function M.open(file, options)
   local is_plain = plain_test(log.bus, options.by_value)
   if not options.all and is_plain(lines) then
     head = text_that_needs_us(file, head, is_plain)
-    if not head then return nil, utf8.name(log.bus) end
+    if not head then
+      return nil, { plain_bus = utf8.name(log.bus), stamps_differ = log.stamps_differ }
+    end
   end
   log.record, log.next = read_record, next_frame
   log.per_second = SECOND

@@ -10,7 +10,7 @@ local M = {}
 
 local NO_BUS = {}
 local bus -- of the record read last
-local latest -- the log opened or read last, or { plain_bus = of a log left to Wireshark's reader }
+local latest -- the log opened or read last, or what is known of one left to Wireshark
 
 --- Forget all files.  Call it before any reader sees a file: sharkd opens another file without
 -- closing the first.
@@ -32,6 +32,7 @@ end
 --          { count = packets that were lost while capturing, bus = name or nil, frame = number of
 --          the packet behind the loss or nil, time = that packet's seconds since 1970 or nil },
 --          complete when the file has been read; lacks_times = whether packets have no time stamps;
+--          stamps_differ = whether the time stamps of its first frames do;
 --          lacks_clock = whether times are the controllers' own, as those of a raw dump;
 --          plain_bus = name of the only bus of a log that Wireshark's own reader took, which
 --          forgets it on 4.0 and 4.4 }
@@ -62,8 +63,8 @@ end
 -- title, name  of the reader
 -- kind         "rs" is asked before Wireshark's own readers of text, "r" after them
 -- encap        link type of its packets
--- open         function(file), which returns a log; or nil, and the bus of a log that is left to
---              Wireshark's own reader
+-- open         function(file), which returns a log; or nil, and what M.log returns of a log that is
+--              left to Wireshark's own reader
 -- extension    of the files that Wireshark offers to it first, or nil
 local function register(title, name, kind, encap, open, extension)
   local handler = FileHandler.new(title, name, title, kind)
@@ -71,8 +72,8 @@ local function register(title, name, kind, encap, open, extension)
 
   function handler.read_open(file, capture)
     bus = NO_BUS
-    local log, plain_bus = open(file)
-    latest = log or plain_bus and { plain_bus = plain_bus } or latest
+    local log, plain_log = open(file)
+    latest = log or plain_log or latest
     if not log then return false end
     capture.encap = encap
     capture.time_precision = log.decimals == 9 and wtap_tsprecs.NSEC or wtap_tsprecs.USEC

@@ -15,6 +15,7 @@ local MAX_REPORTED = 3 -- lines for each reason
 local TOO_LONG = "a line longer than 4096 bytes, skipped"
 local COMMENT = "^%s*[#;/]"
 local SECOND = 1000000000 -- nanoseconds
+local MARK = "\239\187\191" -- a byte order mark, in front of UTF-8
 
 --- Why a line gives no frame.
 M.ID = "no such CAN id, line skipped"
@@ -31,7 +32,7 @@ function M.lines(text)
   return setmetatable({
     text = text, -- a part of the file
     base = 0, -- the offset of the text
-    pos = 1, -- the index in the text at which the next line begins
+    pos = text:sub(1, #MARK) == MARK and #MARK + 1 or 1, -- index at which the next line begins
     number = 0, -- of the line read last
   }, Lines)
 end

@@ -9,6 +9,7 @@
 local capture = require "yapp.host.capture"
 local file_readers = require "yapp.file.readers"
 local socketcan = require "yapp.host.socketcan"
+local stamps = require "yapp.host.stamps"
 
 local M = {}
 
@@ -60,6 +61,7 @@ function M.watch()
       return file:read(count)
     end
     self.seen = capture.read(head, more)
+    self.seen_stamps_differ = stamps.differ(head)
     self.is_short = #head < capture.HEAD
     self.is_long_pipe = not (self.is_short or is_file)
     file_readers.forget()
@@ -77,6 +79,7 @@ end
 function Buses:init()
   local found = self.seen
   self.found, self.is_shifted = found, false
+  self.found_stamps_differ = self.seen_stamps_differ
   self.plain_bus = file_readers.log().plain_bus
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
   -- A short file may be of a live capture that already had packets when it was opened.
@@ -118,6 +121,11 @@ end
 --- Whether nothing tells when packets were captured: they have no times, or those of controllers.
 function Buses:lacks_clock()
   return self:lacks_times() or file_readers.log().lacks_clock
+end
+
+--- Whether the first packets of the file have different time stamps: then these mean something.
+function Buses:stamps_differ()
+  return self.found_stamps_differ or file_readers.log().stamps_differ or false
 end
 
 --- Return the seconds from the first time stamp of the capture to the current packet.  If the first

@@ -21,6 +21,8 @@ Copies.__index = Copies
 function M.new(buses)
   return setmetatable({
     is_timed = not buses:lacks_clock(),
+    -- If not, at the time of the first packet it is not known yet whether times advance.
+    stamps_differ = buses:stamps_differ(),
     by_source = {}, -- [source] = list of its latest messages that are no copies, see new_entry
     originals = {}, -- [frame key of a copy] = that of its original, for revisits
   }, Copies)
@@ -74,8 +76,8 @@ function Copies:find(message, is_only_pass)
     list = {}
     self.by_source[source] = list
   end
-  -- At the time of the first packet it is not known yet whether times advance.
-  local original = time ~= 0 and find_in(list, message, distance) or nil
+  local may_be_copy = self.stamps_differ or time ~= 0
+  local original = may_be_copy and find_in(list, message, distance) or nil
   -- A read filter may have dropped a copy whose number this packet has.
   if not is_only_pass and original ~= self.originals[message.key] then
     self.originals[message.key] = original

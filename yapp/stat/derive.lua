@@ -35,7 +35,8 @@ Deriver.__index = Deriver
 local function new_state()
   return {
     last = nil, -- its latest message
-    last_at = nil, -- when that came
+    last_at = nil, -- when that came, by the stamps of its source
+    ahead = 0, -- seconds that the capture's clock was ahead then
     is_counted = false, -- whether that counts
     faults = NOTHING, -- list of those that are set, as they rose, see message.faults
     counted = { frame = 0 }, -- the latest reliable message that counts
@@ -155,24 +156,26 @@ local function note_events(self, event, change)
   end
 end
 
--- Return how many messages of a source fit between its latest one and a time.
-local function missing_until(state, now)
+-- Return how many messages of a source fit between two times.
+local function missing_between(state, from, to)
   local message = state.last.source.message
   if not (message and message.every) then return 0 end
-  local periods = span(state.last_at, now) / message.every
+  local periods = span(from, to) / message.every
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
 end
 
-local function note_message(self, event, is_counted)
+local function note_message(self, event, is_counted, capture_now)
   local state, values = self.by_source[event.source], event.values
   local change = values.change or NOTHING
   if state.is_counted and not values.is_unreliable then
-    state.missing_by_period = state.missing_by_period + missing_until(state, self.now)
+    local missing = missing_between(state, state.last_at, self.now)
+    state.missing_by_period = state.missing_by_period + missing
   end
   if change.late and state.is_counted then
     emit(self, "silence", state.last, { length = output.seconds(change.late) })
   end
   state.last, state.last_at, state.is_counted = event, self.now, is_counted
+  state.ahead = capture_now - self.now
   if is_counted and values ~= NOTHING then note_events(self, event, change) end
   if change.faults then note_faults(self, state, event, change.faults) end
   if is_counted and not values.is_unreliable then
@@ -190,8 +193,9 @@ end
 
 --- Take an event, in the order of the capture.  If the filter does not let it count, it still
 -- updates the states.
--- now  seconds of the capture, see above
-function Deriver:take(event, now)
+-- now          seconds of the capture, see above
+-- capture_now  the same by the stamps of all sources, which may be those of another recorder
+function Deriver:take(event, now, capture_now)
   local is_counted, is_message = lets_count(self, event), event.kind == "message"
   self.now = now
   if is_counted then
@@ -203,7 +207,7 @@ function Deriver:take(event, now)
     end
   end
   if is_message and not self.statistic.wants_messages_only then
-    note_message(self, event, is_counted)
+    note_message(self, event, is_counted, capture_now)
   end
   if is_counted then self:add(event) end
 end
@@ -225,7 +229,7 @@ local function end_silences(self, ending)
   for _, state in ipairs(self.states) do
     local event = state.last
     local message = event.source.message
-    local length = span(state.last_at, ending.now)
+    local length = span(state.last_at + state.ahead, ending.now)
     local is_silent = message and message.every and length > self.settings.late * message.every
     if is_silent and state.is_counted and not event.values.is_unreliable then
       local values = { length = output.seconds(length), is_last = true }
@@ -277,7 +281,8 @@ local function hiding(self, now)
     if may_have_faults(state.last.source) then
       if not state.is_numbered then missing = missing + state.missing_by_period end
       local has_end = state.is_counted and not state.last.values.is_unreliable
-      if has_end then missing = missing + missing_until(state, now) end
+      local last_at = state.last_at + state.ahead
+      if has_end then missing = missing + missing_between(state, last_at, now) end
     end
   end
   for _, row in ipairs(kinds.LIST) do

@@ -29,7 +29,7 @@ end
 local function measure_gap(group, _, check)
   if group.count == 0 then return nil, nil, NO_VALUE end
   local gap, frame = group.gap_max or 0, group.gap_max_frame
-  local to_end = kinds.span(group.last, check.ending.now)
+  local to_end = kinds.span(group.last + check.states[group.source].ahead, check.ending.now)
   if to_end > gap then gap, frame = to_end, nil end
   return gap, frame or group.last_frame
 end

@@ -17,6 +17,7 @@ local MAX_LOSSES = 1000 -- look through the waiting losses when they are more, s
 local SEARCH_PREFERENCES = "yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first, " ..
   "-d tcp.port==PORT,yapp_serial, in Wireshark also yapp.search_all" -- tshark searches all
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
+local MAX_APART = 0.2 -- seconds between the packets of recorders whose stamps alternate
 local MAX_FALLS = 4 -- of as many recorders, and one more, the stamps may alternate
 local NO_TIMES = "packets of this capture have no time stamps"
 -- As candump -H writes them for an adapter that has no clock.
@@ -95,7 +96,8 @@ local function note_step(self, step)
   end
   for i = 1, step > MAX_STEP and #falls or 0 do
     total = total + falls[i]
-    if math.abs(step - total) <= total / 4 then
+    local excess = step - total
+    if excess >= -total / 4 and excess <= math.max(total / 4, MAX_APART) then
       self.fallen = self.fallen - total
       for _ = 1, i do table.remove(falls, 1) end
       return
@@ -107,8 +109,9 @@ local function hand_on(self, event)
   local now = time_of(self, event)
   event.rel = now
   if event.source.id then self.has_messages = true end
+  local capture_now = event.time + self.fallen
   for _, deriver in ipairs(self.derivers) do
-    deriver:take(event, now)
+    deriver:take(event, now, capture_now)
   end
 end
 
