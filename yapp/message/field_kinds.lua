@@ -259,6 +259,44 @@ local function time_number(_, raw)
   return seconds + nanoseconds / 1e9
 end
 
+-- Return a kind with the parts of another, and its own.
+local function like(base, own)
+  local kind = {}
+  for _, parts in ipairs { base, own } do
+    for name, part in pairs(parts) do kind[name] = part end
+  end
+  return kind
+end
+
+-- Integers, which may be codes; numbers with a fraction or a special; texts.
+local CODE = {
+  shown = "plain",
+  choose = choose_integer,
+  info = code_info,
+  column = "integer",
+  cells = code_cells,
+  remark = remark_code,
+  source = code_source,
+  is_number = true,
+  is_integer = true,
+}
+local NUMBER = {
+  filter = always("DOUBLE"),
+  shown = "number",
+  info = number_info,
+  column = "float",
+  cells = number_cells,
+  remark = remark_special,
+  is_number = true,
+}
+local TEXT = {
+  choose = always(read_bytes),
+  info = text_info,
+  column = "string",
+  cells = text_cells,
+  is_text = true,
+}
+
 --- By the name of the kind:
 --   filter   function(field) -> Wireshark's type of its filter, and the base or nil
 --   shown    how show.taurus adds it to a tree: "plain" (Wireshark reads the bytes), "number",
@@ -275,81 +313,29 @@ end
 --   code     format of a code in texts; nil: hexadecimal
 --   is_number, is_integer, is_text
 M.BY_NAME = {
-  uint = {
-    filter = sized("UINT", hexadecimal_if_enum),
-    shown = "plain",
-    choose = choose_integer,
-    info = code_info,
-    column = "integer",
-    cells = code_cells,
-    remark = remark_code,
-    source = code_source,
-    is_number = true,
-    is_integer = true,
-  },
-  int = {
+  uint = like(CODE, { filter = sized("UINT", hexadecimal_if_enum) }),
+  int = like(CODE, {
     filter = sized("INT", decimal),
-    shown = "plain",
-    choose = choose_integer,
-    info = code_info,
-    column = "integer",
-    cells = code_cells,
-    remark = remark_code,
-    source = code_source,
     code = "%d", -- COMPAT 5.2: a negative number has no hexadecimal text
-    is_number = true,
-    is_integer = true,
-  },
+  }),
   -- value = count * scale + zero
-  scaled = {
+  scaled = like(CODE, {
     filter = always("DOUBLE"),
     shown = "number",
-    choose = choose_integer,
     value = function(field, raw) return raw * field.scale + field.zero end,
     info = number_info,
     column = "float",
-    cells = code_cells,
-    remark = remark_code,
-    source = code_source,
-    is_number = true,
-    is_integer = true,
-  },
-  bool = {
+  }),
+  bool = like(CODE, {
     filter = always("BOOLEAN"),
-    shown = "plain",
-    choose = choose_integer,
     info = function(_, raw) return BOOLS[raw] or ("invalid 0x%x"):format(raw) end,
     column = "bool",
     cells = function(_, raw) return raw == 0 and "0" or "1" end,
-    remark = remark_code,
-    source = code_source,
-    is_integer = true,
-  },
+    is_number = false,
+  }),
   -- A compressed float.
-  float = {
-    filter = always("DOUBLE"),
-    shown = "number",
-    choose = choose_float,
-    value = float_value,
-    info = number_info,
-    column = "float",
-    cells = number_cells,
-    remark = remark_special,
-    source = float_source,
-    is_number = true,
-  },
-  ieee = {
-    filter = always("DOUBLE"),
-    shown = "number",
-    choose = always(read_ieee),
-    value = ieee_value,
-    info = number_info,
-    column = "float",
-    cells = number_cells,
-    remark = remark_special,
-    source = special_source,
-    is_number = true,
-  },
+  float = like(NUMBER, { choose = choose_float, value = float_value, source = float_source }),
+  ieee = like(NUMBER, { choose = always(read_ieee), value = ieee_value, source = special_source }),
   flags = {
     filter = sized("UINT", hexadecimal),
     shown = "flags",
@@ -371,26 +357,16 @@ M.BY_NAME = {
     cells = time_text,
   },
   -- A text ends at its first NUL.  A character that cannot be shown is \xnn.
-  string = {
+  string = like(TEXT, {
     filter = always("STRING"),
     shown = "text",
-    choose = always(read_bytes),
     value = function(_, raw) return utf8.value(raw:match("^%Z*")) end,
-    info = text_info,
-    column = "string",
-    cells = text_cells,
-    is_text = true,
-  },
-  bytes = {
+  }),
+  bytes = like(TEXT, {
     filter = always("BYTES"),
     shown = "plain",
-    choose = always(read_bytes),
     value = function(_, raw) return (raw:gsub(".", hex_digits)) end,
-    info = text_info,
-    column = "string",
-    cells = text_cells,
-    is_text = true,
-  },
+  }),
   -- Worked out from two fields, see decode.derived.
   derived = { column = "float", is_number = true },
 }
