@@ -28,6 +28,8 @@ MAX_BEHIND = 8  # a Seq so far behind is of a message that came late
 FIRST_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
 KIND = {name: ident for ident, (name, _, _) in model.MESSAGES.items()}
 OPERATORS = {"*": operator.mul, "-": operator.sub, "+": operator.add}
+# Columns of the summary that count events of a kind; a new one of a kind that is planted is a row here.
+COUNTS = {"reboots": "reboot", "invalid": "invalid", "skipped": "skipped", "missing": "missing", "copies": "copies"}
 FORMS = ["pcapng", "sll2", "candump"]
 LINKS = "links"  # each bus in a link type of its own
 LATE_PCAPNG = "late pcapng"  # the interfaces but the first one behind what the plugin looks at when it opens a file
@@ -161,7 +163,7 @@ class Truth:
     def __init__(self, flight, form):
         self.flight, self.form = flight, form
         self.events, self.faults, self.summary = [], [], []
-        self.room = 0  # messages of Motor Data that the gaps have room for, where Seq No does not number them
+        self.missing_by_period = 0  # messages of Motor Data that the gaps have room for, where Seq No does not number them
         for sender in flight.senders:
             if any(message.frames for message in sender.messages):
                 self.source(sender)
@@ -221,32 +223,33 @@ class Truth:
         if sender.kind == "motor" and good:
             times = [message.frames[-1].at for message in good]
             between = times if len({message.seq for message in good}) == 1 else []
-            self.room += room_for(between) + room_for([times[-1], self.flight.frames[-1].at])
-        counts["reboots"] += 0
+            self.missing_by_period += fitting(between) + fitting([times[-1], self.flight.frames[-1].at])
         self.summary.append({**self.who(sender), "crc_bad": crc, "incomplete": lost, "late": counts["late"],
-                             "reboots": counts["reboots"], **rates(good), "values": ranges(sender, good),
-                             "invalid": counts["invalid"], "skipped": 0, "missing": counts["missing"], "copies": 0})
-        self.counted = counts
+                             **rates(good), "values": ranges(sender, good),
+                             **{column: self.count(sender, kind) for column, kind in COUNTS.items()}})
+
+    def count(self, sender, kind):
+        """How many messages of a source have events of a kind, or how many those are about."""
+        who = self.who(sender)
+        lines = [line for line in self.events if line["kind"] == kind and who.items() <= line.items()]
+        return sum({line["frame"]: line.get("count", 1) for line in lines}.values())
 
     def good(self, sender, message, before, state, counts):
         last = message.frames[-1]
         if before and self.silence(sender, before, last.at):
             counts["late"] += 1
-        invalid = list(undefined(sender, message.payload))
-        counts["invalid"] += bool(invalid)
-        for field, value in invalid:
+        for field, value in undefined(sender, message.payload):
             self.event("invalid", sender, last, field=field, value=value)
         is_reboot = False
         if sender.kind in ("motor", "health"):
-            is_reboot = self.clock(sender, message, state, counts)
+            is_reboot = self.clock(sender, message, state)
         missing = missing_before(message, state, is_reboot)
         if missing:
             self.event("missing", sender, last, count=missing)
-            counts["missing"] += missing
         if sender.kind == "motor":
             self.flags(sender, message, state)
 
-    def clock(self, sender, message, state, counts):
+    def clock(self, sender, message, state):
         """What the controller's clock says; returns whether it is a reboot."""
         clock, last = clock_of(sender, message.payload), message.frames[-1]
         before, jump = state["clock"], jump_of(clock, last.at, state)
@@ -256,7 +259,6 @@ class Truth:
         if before is None or clock > before:
             return False
         kind = "reboot" if clock < before else "stale"
-        counts[kind + "s"] += 1
         self.event(kind, sender, last)
         return kind == "reboot"
 
@@ -332,7 +334,7 @@ def missing_before(message, state, is_reboot):
     return 0 if is_reboot else max(ahead - 1, 0)
 
 
-def room_for(times):
+def fitting(times):
     """How many messages of Motor Data fit between these: none into a gap of up to 1.5 periods."""
     gaps = [(later - sooner) / (EVERY["motor"] * SECOND) for sooner, later in zip(times, times[1:])]
     return sum(int(gap - 0.5) for gap in gaps if gap > 1.5)
@@ -500,7 +502,7 @@ class Flight:
 
     def truth(self, form):
         truth = Truth(self, form)
-        return {"events": truth.events, "faults": truth.faults, "summary": truth.summary, "room": truth.room}
+        return {"events": truth.events, "faults": truth.faults, "summary": truth.summary, "missing_by_period": truth.missing_by_period}
 
     def link_of(self, bus):
         """The link type in which the form "links" has a bus, and what makes a packet of a frame."""

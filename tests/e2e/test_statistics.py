@@ -63,7 +63,7 @@ def assert_left_out(said, truth, is_about_faults):
     unknown = sum(line["count"] for line in events if line["kind"] == "unknown")
     counts = {text: sum(line.get("count", 1) for line in events if line["kind"] == kind and line["message"] in (None, "motor"))
               for kind, text in HIDING.items()}
-    counts["missing by their period"] = truth["room"]
+    counts["missing by their period"] = truth["missing_by_period"]
     hiding = ", ".join(f"{count} {text}" for text, count in counts.items() if count)
     expected = [f"yapp: {unknown} message"] * bool(unknown)
     expected += [f"yapp: damaged or lost messages may hide faults: {hiding}"] * bool(is_about_faults and hiding)

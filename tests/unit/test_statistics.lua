@@ -139,6 +139,17 @@ local NOTHING_CAME = "no YAPP message found in 0 packets: see yapp.user_dlt, tcp
 
 -- summary -------------------------------------------------------------------------------------------------------
 
+-- A line of JSON: what counts events is 0, and other columns are null, where nothing else is expected.
+local function summary_line(expected)
+  local columns, texts = options_of.BY_NAME.summary.columns, {}
+  for _, column in ipairs(columns.all) do
+    local key = column.key
+    local text = expected[key] or column.kind and "0" or "null"
+    if column.where:find("json") then texts[#texts + 1] = ('"%s":%s'):format(key, text) end
+  end
+  return "{" .. table.concat(texts, ",") .. "}"
+end
+
 function T.test_summary()
   local printed = run({ "summary,json" }, { record(1, 0),
     record(2, 0.5, { payload = payload(20), change = { late = 0.5 } }),
@@ -146,29 +157,34 @@ function T.test_summary()
     record(4, 0.7, { payload = payload(255), change = { reboot = 1 } }), lost(5, 0.8, "orphan"),
     record(6, 0.9, { source = ODD, fits = false }) })
   lu.assertEquals(lines(printed), {
-    '{"bus":"can0","id":528,"source":"left","message":"motor","count":3,"rate":2.8571428571428572,' ..
-      '"gap_min":0.200000000,"gap_mean":0.350000000,"gap_max":0.500000000,"gap_max_frame":2,' ..
-      '"crc_bad":1,"incomplete":1,"late":1,"reboots":1,"values":{"volts":{"min":10,"mean":15,"max":20}},' ..
-      '"invalid":0,"skipped":0,"missing":0,"copies":0}',
-    '{"bus":"can0","id":768,"source":null,"message":null,"count":1,"rate":null,"gap_min":null,' ..
-      '"gap_mean":null,"gap_max":null,"gap_max_frame":null,"crc_bad":0,"incomplete":0,' ..
-      '"late":0,"reboots":0,"values":{},"invalid":0,"skipped":0,"missing":0,"copies":0}' })
+    summary_line { bus = '"can0"', id = "528", source = '"left"', message = '"motor"', count = "3",
+      rate = "2.8571428571428572", gap_min = "0.200000000", gap_mean = "0.350000000", gap_max = "0.500000000",
+      gap_max_frame = "2", crc_bad = "1", incomplete = "1", late = "1", reboots = "1",
+      values = '{"volts":{"min":10,"mean":15,"max":20}}' },
+    summary_line { bus = '"can0"', id = "768", count = "1", values = "{}" } })
+  lu.assertStrContains(printed, '"gap_max_frame":2,"crc_bad":1,"incomplete":1,"late":1,"reboots":1,"values":')
 end
 
+-- New columns come behind these.
 function T.test_summary_in_words()
   local printed = run({ "summary" }, { record(1, 0), record(2, 0.1, { source = RIGHT }), record(3, 0.25) },
     { last = 2 })
-  lu.assertEquals(printed, [[
+  local expected = lines([[
 YAPP summary: 2 sources in 2.000 s
 
-bus    ID     source  message     count  rate/Hz  gap/s min      mean       max  in frame  bad CRC  incomplete  late  silent/s at the end  reboots  invalid  skipped  missing  copies
-can0   0x210  left    Motor Data      2        4   0.250000  0.250000  0.250000         3        0           0     0             1.750000        0        0        0        0       0
-can"1  0x210          Motor Data      1                                                          0           0     0             1.900000        0        0        0        0       0
+bus    ID     source  message     count  rate/Hz  gap/s min      mean       max  in frame  bad CRC  incomplete  late
+can0   0x210  left    Motor Data      2        4   0.250000  0.250000  0.250000         3        0           0     0
+can"1  0x210          Motor Data      1                                                          0           0     0
 
 bus    ID     source  message     field  unit  min  mean  max  count
 can0   0x210  left    Motor Data  volts  V      10    10   10      2
 can"1  0x210          Motor Data  volts  V      10    10   10      1
 ]])
+  local found = lines(printed)
+  lu.assertEquals(#found, #expected)
+  for i, line in ipairs(expected) do lu.assertEquals(found[i]:sub(1, #line), line) end
+  lu.assertStrContains(found[2], "silent/s at the end  reboots  invalid  skipped  missing  copies")
+  lu.assertEquals({ found[3]:match("1.750000"), found[4]:match("1.900000") }, { "1.750000", "1.900000" })
   lu.assertEquals(run({ "summary" }, {}), "YAPP summary: 0 sources in 0.000 s\n" .. NOTHING_CAME)
   lu.assertStrContains(run({ "summary" }, { record(1, 0) }), "volts  V      10    10   10      1\n") -- of one source
 end
@@ -654,7 +670,7 @@ function T.test_what_the_catalogue_does_not_define()
     '{"kind":"invalid",,"field":"fault_flags","value":32}', '{"kind":"invalid",,"field":"mode","value":7}' })
   local words = run({ "events" }, records)
   lu.assertStrContains(words, "invalid  mode 0x07 is not defined\n")
-  lu.assertStrContains(run({ "summary,json" }, records), '"invalid":2,"skipped":0,"missing":0,"copies":0}') -- messages
+  lu.assertStrContains(run({ "summary,json" }, records), '"invalid":2,') -- messages
   lu.assertEquals(verdicts("invalid=1,invalid=2", records),
     { "invalid=1 left false 2 2", "invalid=2 left true 2 2", "unknown=0 null true 0 null" })
 end
@@ -671,7 +687,7 @@ function T.test_bytes_of_no_frame()
   lu.assertEquals(found("events,json", "skipped", records), { '{"kind":"skipped",,"length":5}', '{"kind":"skipped",,"length":5}' })
   lu.assertStrContains(run({ "events" }, records), "5 bytes of no frame")
   lu.assertStrContains(run({ "summary,json" }, records), '{"bus":"ttyA","id":null,"source":null,"message":null,"count":0,')
-  lu.assertStrContains(run({ "summary,json" }, records), '"invalid":0,"skipped":2,"missing":0,"copies":0}')
+  lu.assertStrContains(run({ "summary,json" }, records), '"skipped":2,')
   lu.assertEquals(verdicts("skipped=1,incomplete=0", records),
     { "skipped=1 null false 2 2", "incomplete=0 left true 0 null", "unknown=0 null true 0 null" })
   lu.assertEquals({ verdicts("skipped=0", { record(1, 0) }) }, { { "skipped=0 null true 0 null",
@@ -1068,7 +1084,7 @@ function T.test_kinds_that_are_changes()
       lu.assertEquals({ #json, json[1] }, { 1, ('{"kind":"%s","time":1700000000.100000005,"frame":2,"bus":"can0","id":528,'):format(
         row.name) .. '"source":"left","message":"motor"' .. (expected[2] ~= "" and "," or "") .. expected[2] .. "}" })
       lu.assertStrContains(run({ "events" }, records), expected[3])
-      local missing = ('"missing":%d,"copies":0}'):format(row.name == "missing" and expected[1] or 0)
+      local missing = ('"missing":%d,'):format(row.name == "missing" and expected[1] or 0)
       lu.assertStrContains(run({ "summary,json" }, records), missing)
       local seen = type(expected[1]) == "number" and row.amount and expected[1] or 1
       local rules = ("%s=%d,%s=%d"):format(row.name, seen - 1, row.name, seen)
@@ -1148,8 +1164,8 @@ function T.test_copies()
   for _, what in ipairs(IN_TEXT) do lu.assertStrContains(run({ what }, records), twice) end
   local printed, code, texts = run({ "summary,json" }, records)
   lu.assertEquals({ code, texts }, { 0, { twice } })
-  lu.assertNotNil(printed:match('"count":2,.*"copies":3}'))
-  lu.assertNotNil(printed:match('"count":1,.*"copies":0}'))
+  lu.assertNotNil(printed:match('"count":2,.*"copies":3[,}]'))
+  lu.assertNotNil(printed:match('"count":1,.*"copies":0[,}]'))
   lu.assertEquals(verdicts("copies=2", records)[1], "copies=2 left false 3 2")
   lu.assertEquals(verdicts("copies=2", records)[2], "copies=2 null true 0 null")
   for _, one in ipairs(verdicts("", records)) do lu.assertNil(one:find("copies")) end
