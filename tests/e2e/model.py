@@ -3,7 +3,7 @@
 names typed once more, the float codec as its formula, and the CRC a bit at a time (test_captures/make.py).
 
 A message is one entry of MESSAGES: filter names, sweeps over its flags and reserved counts, and values follow from it.
-A statistic is one entry of STATISTICS, an expert item one of the lists of EXPERTS."""
+A statistic is one entry of STATISTICS, an expert item one of OF_MESSAGE, OF_CHANGE or OF_SEVERAL."""
 import struct
 
 MOTOR, HEALTH, COMMAND = 0x210, 0x200, 0x000
@@ -15,30 +15,28 @@ YAPP = {
     "undecoded": "BYTES", "padding": "BYTES", "fragments": "NONE", "fragment": "FRAMENUM", "fragment.count": "UINT32",
     "reassembled.in": "FRAMENUM", "reassembled.length": "UINT32", "skipped": "BYTES", "time_delta": "RELATIVE_TIME",
 }
-YAPP_EXPERTS = ["crc.bad", "fragment.orphan", "fragment.incomplete", "fragment.overrun", "size.mismatch", "id.unknown",
-                "reserved.nonzero", "can.ctrl.invalid", "stream.skipped", "truncated", "fragment.duplicate"]
-TAURUS_EXPERTS = ["fault.active", "command.key.invalid", "value.special", "flags.undefined", "value.invalid"]
+# Expert items with their group and severity: Wireshark's colours, `-z expert` and filters on _ws.expert go by them.
+# Those of one message, or of its frames:
+OF_MESSAGE = {
+    "yapp.crc.bad": "CHECKSUM ERROR", "yapp.fragment.orphan": "SEQUENCE WARN", "yapp.fragment.incomplete": "REASSEMBLE WARN",
+    "yapp.fragment.overrun": "REASSEMBLE WARN", "yapp.size.mismatch": "PROTOCOL WARN", "yapp.id.unknown": "UNDECODED NOTE",
+    "yapp.reserved.nonzero": "PROTOCOL WARN", "yapp.can.ctrl.invalid": "PROTOCOL WARN", "yapp.stream.skipped": "SEQUENCE NOTE",
+    "yapp.truncated": "MALFORMED WARN", "yapp.fragment.duplicate": "SEQUENCE NOTE", "taurus.fault.active": "RESPONSE_CODE ERROR",
+    "taurus.command.key.invalid": "PROTOCOL WARN", "taurus.value.special": "PROTOCOL NOTE", "taurus.flags.undefined": "PROTOCOL NOTE",
+    "taurus.value.invalid": "PROTOCOL WARN",
+}
 # Worked out from more than one message: what test_flight_fields.py is about.  Those of a change, and the others.
-CHANGE_EXPERTS = ["yapp.late", "taurus.reboot", "taurus.stale", "taurus.fault.raised", "taurus.fault.cleared", "taurus.jump"]
-EVENT_EXPERTS = [*CHANGE_EXPERTS, "yapp.source.shared", "yapp.unfinished", "yapp.copy"]
+OF_CHANGE = {
+    "yapp.late": "SEQUENCE WARN", "taurus.reboot": "SEQUENCE WARN", "taurus.stale": "SEQUENCE WARN",
+    "taurus.fault.raised": "RESPONSE_CODE ERROR", "taurus.fault.cleared": "RESPONSE_CODE NOTE", "taurus.jump": "SEQUENCE WARN",
+}
+OF_SEVERAL = {"yapp.source.shared": "SEQUENCE WARN", "yapp.unfinished": "REASSEMBLE WARN", "yapp.copy": "SEQUENCE NOTE"}
+SEVERITIES = OF_MESSAGE | OF_CHANGE | OF_SEVERAL | {"yapp.can.id.missing": "UNDECODED WARN"}
+EXPERTS, CHANGE_EXPERTS, EVENT_EXPERTS = list(OF_MESSAGE), list(OF_CHANGE), [*OF_CHANGE, *OF_SEVERAL]
 # Of YAPP's own, in no .expected file: what is worked out from more than one message, and what a packet's menu goes by.
 HISTORY = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8", "yapp.copy_of": "FRAMENUM",
            "yapp.reassembled.data": "BYTES", "yapp.fragment.data": "BYTES", "yapp.like.command": "UINT32", "yapp.like.motor": "UINT32",
            "yapp.like.health": "UINT32", "yapp.can.id.missing": "NONE"}
-EXPERTS = [f"yapp.{name}" for name in YAPP_EXPERTS] + [f"taurus.{name}" for name in TAURUS_EXPERTS]
-
-# Group and severity of each: Wireshark's colours, `-z expert` and filters on _ws.expert go by them.
-SEVERITIES = {
-    "yapp.crc.bad": "CHECKSUM ERROR", "yapp.fragment.orphan": "SEQUENCE WARN", "yapp.fragment.incomplete": "REASSEMBLE WARN",
-    "yapp.fragment.overrun": "REASSEMBLE WARN", "yapp.fragment.duplicate": "SEQUENCE NOTE", "yapp.unfinished": "REASSEMBLE WARN", "yapp.copy": "SEQUENCE NOTE",
-    "yapp.late": "SEQUENCE WARN", "yapp.size.mismatch": "PROTOCOL WARN", "yapp.id.unknown": "UNDECODED NOTE",
-    "yapp.reserved.nonzero": "PROTOCOL WARN", "yapp.can.ctrl.invalid": "PROTOCOL WARN", "yapp.can.id.missing": "UNDECODED WARN",
-    "yapp.stream.skipped": "SEQUENCE NOTE", "yapp.truncated": "MALFORMED WARN", "yapp.source.shared": "SEQUENCE WARN",
-    "taurus.fault.active": "RESPONSE_CODE ERROR", "taurus.fault.raised": "RESPONSE_CODE ERROR",
-    "taurus.fault.cleared": "RESPONSE_CODE NOTE", "taurus.reboot": "SEQUENCE WARN", "taurus.stale": "SEQUENCE WARN",
-    "taurus.jump": "SEQUENCE WARN", "taurus.command.key.invalid": "PROTOCOL WARN", "taurus.value.special": "PROTOCOL NOTE",
-    "taurus.flags.undefined": "PROTOCOL NOTE", "taurus.value.invalid": "PROTOCOL WARN",
-}
 
 # By the name behind -z yapp, in the order of the errors that list them: the title in menus.
 STATISTICS = {"summary": "Summary", "faults": "Faults", "events": "Events", "compare": "Compare", "csv": "Export tables",
