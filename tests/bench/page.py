@@ -14,8 +14,9 @@ import pyarrow as pa
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from yapp_tables.flight import Flight
+from yapp_tables.records import EVENTS, table
 from yapp_tables.report import write_report
-from yapp_tables.tables import EVENTS, Column, Message, table
+from yapp_tables.tables import Column, Message
 
 START = 1_700_000_000_000_000_000
 FIELDS = {"torque_iq_commanded": "A", "torque_iq_measured": "A", "rpm_commanded": "RPM", "rpm_measured": "RPM",

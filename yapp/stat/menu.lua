@@ -86,8 +86,10 @@ local notes_of_age = {}
 -- stat  of stat.taps
 local function open_window(title, make, stat)
   local window, content, frames = TextWindow.new("YAPP " .. title), nil, nil
-  local total, time, is_old = 0, "", false -- of the reading
+  local total, time = 0, "" -- of the reading
+  local is_old = true -- whether nothing is to be said: it was said, or the reading goes on
   local function refresh()
+    is_old = true
     content, frames = make()
     total, time, is_old = stat.total, os.date("%H:%M:%S"), false
     window:set(content)

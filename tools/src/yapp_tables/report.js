@@ -5,7 +5,8 @@
   const data = JSON.parse(byId("data").textContent);
   const HEIGHT = 190, CLOUD = 340, ROW = 18, HEAD = 18, AXIS = 24; // pixels
   const LETTER = 6.5, LEAST = 3; // pixels: of a letter in a bar, of the shortest bar
-  const POINTS = 6000, ROWS = 40, MORE = 4; // of all lines of a picture, of a table, incidents that are told at the top
+  const POINTS = 6000, FEWER = 4, PAUSE = 150; // and a part of them, until no zoom follows for so many milliseconds
+  const ROWS = 40, MORE = 4; // of a table, incidents that are told at the top
   const AMBER = 0.1; // of the way between limits
   const PRINTED = 1000; // pixels: the width of a printed picture
   const NARROW = innerWidth < 700;
@@ -32,12 +33,16 @@
     return made;
   }
   // A colour of the style sheet, as it is in this theme.
+  let coloursKnown = new Map(); // of this theme: to ask for one costs a layout of the page
   const styled = (about, property = "color") => {
+    const key = JSON.stringify(about) + property;
+    if (coloursKnown.has(key)) return coloursKnown.get(key);
     const probe = make("i", { className: "patch" });
     Object.assign(probe.dataset, about);
     document.body.append(probe);
     const found = getComputedStyle(probe)[property];
     probe.remove();
+    coloursKnown.set(key, found);
     return found;
   };
   const colour = (source) => styled({ colour: data.sources[source].colour }, "backgroundColor");
@@ -187,7 +192,9 @@ const more = data.incidents.filter((each) => each !== first && each.is_serious).
   const figures = [], hidden = new Set(), known = [];
   let blob, seen = whole, isPrinting = false;
   const timesOf = (number) => (known[number] ??= unfoldTimes(data.times[number]));
-  const width = () => isPrinting ? PRINTED : byId("pictures").clientWidth || innerWidth;
+  let shownWidth = 0; // to ask for it costs a layout of the page
+  const width = () => isPrinting ? PRINTED : shownWidth ||= byId("pictures").clientWidth || innerWidth;
+  addEventListener("resize", () => { shownWidth = 0; });
 
   // Times and values of a line, unpacked when it is drawn first.
   function samples(line) {
@@ -226,7 +233,7 @@ const more = data.incidents.filter((each) => each !== first && each.is_serious).
 
   function layout(height, x, y, more) {
     const style = getComputedStyle(document.body), grid = styled({ kind: "line" }, "backgroundColor");
-    const axis = { gridcolor: grid, zeroline: false };
+    const axis = { gridcolor: grid, zeroline: false, ticklabeloverflow: "allow" };
     return { height, autosize: !isPrinting, ...isPrinting ? { width: PRINTED } : {}, showlegend: false, dragmode: NARROW ? false : "zoom",
       paper_bgcolor: style.backgroundColor, plot_bgcolor: "rgba(0,0,0,0)", font: { color: style.color, family: style.fontFamily, size: 12 },
       hoverlabel: { bgcolor: style.backgroundColor, font: { size: 11 } }, margin: { l: 46, r: 12, t: 4, b: AXIS },
@@ -235,8 +242,8 @@ const more = data.incidents.filter((each) => each !== first && each.is_serious).
   const overTime = () => ({ range: seen, ticksuffix: NARROW ? "" : " s", showspikes: true, spikemode: "across", spikethickness: 1, spikedash: "solid" });
 
   // Lines over time, marks where a value is reserved, limits as bands.
-  function lines(about) {
-    const room = Math.max(100, Math.min(width(), POINTS / about.lines.length));
+  function lines(about, isRough) {
+    const room = Math.max(100, Math.min(width(), POINTS / about.lines.length)) / (isRough ? FEWER : 1);
     const drawn = about.lines.map((line) => [line, ...thin(samples(line).times, line.values, seen, room)]);
     let bottom = Infinity, top = -Infinity;
     for (const [line, , y] of drawn) {
@@ -330,16 +337,18 @@ const more = data.incidents.filter((each) => each !== first && each.is_serious).
     }
   }, { rootMargin: "40px" });
 
-  function paint(figure) {
-    const { div } = figure, isNew = !div.layout, [traces, made] = figure.drawn();
-    figure.isStale = false;
+  // isRough: with fewer points, at once.
+  function paint(figure, isRough = false) {
+    const { div } = figure, isNew = !div.layout, [traces, made] = figure.drawn(isRough);
+    figure.isStale = isRough;
     Plotly.react(div, traces, made, CONFIG);
+    if (isRough) return;
     delete div.dataset.stale;
     if (figure.details.open) tabulate(figure);
     if (!isNew || !figure.isTime) return;
     div.on("plotly_relayout", (change) => {
       const from = change["xaxis.range[0]"] ?? change["xaxis.range"]?.[0], to = change["xaxis.range[1]"] ?? change["xaxis.range"]?.[1];
-      if (from !== undefined) show([Number(from), Number(to)], figure);
+      if (from !== undefined) show([Number(from), Number(to)]);
     });
     div.on("plotly_doubleclick", () => show(whole));
     div.on("plotly_hover", ({ xvals, points }) => point(figure, Number(xvals?.[0] ?? points[0].x)));
@@ -359,25 +368,26 @@ const more = data.incidents.filter((each) => each !== first && each.is_serious).
     figure.isStale = true;
     figure.div.dataset.stale = "";
   }
-  function show(range, from) {
+  function show(range) {
     if (range.every((t, i) => t === seen[i])) return;
     seen = range;
     document.documentElement.dataset.seen = seen.join();
     history.replaceState(null, "", seen.every((t, i) => t === whole[i]) ? "#" : `#t=${seen.map((t) => t.toFixed(3)).join(",")}`);
     for (const figure of figures) {
       if (figure.isTime) outdate(figure);
-      if (figure.isNear && figure.isTime && figure !== from && figure.div.layout) Plotly.relayout(figure.div, { "xaxis.range": [...seen] });
+      if (figure.isNear && figure.isTime && figure.div.layout) paint(figure, true);
     }
-    refine();
+    refine(PAUSE);
   }
-  function refine() {
+  function refine(pause = 0) {
     clearTimeout(waiting);
     waiting = setTimeout(() => {
       const next = figures.find((figure) => figure.isNear && figure.isStale);
       if (next) { paint(next); refine(); }
-    });
+    }, pause);
   }
   function redraw() {
+    coloursKnown = new Map();
     figures.forEach(outdate);
     refine();
   }
@@ -412,7 +422,7 @@ const more = data.incidents.filter((each) => each !== first && each.is_serious).
       return [make("b", { textContent: `${title}${unit ? `/${unit}` : ""}` }), pale(message), ...said.length ? [pale(`limit: ${said.join(", ")}`)] : []];
     };
     if (wrong.length) picture(box, [make("b", { className: "bad", textContent: "Faults and events" })], height(wrong), "wrong", true, () => lanes(wrong));
-    for (const about of data.figures) picture(box, head(about), HEIGHT, about.key, true, () => lines(about));
+    for (const about of data.figures) picture(box, head(about), HEIGHT, about.key, true, (isRough) => lines(about, isRough));
     if (states.length) picture(box, [make("b", { textContent: "States and flags" })], height(states), "states", true, () => lanes(states));
     for (const about of data.clouds) {
       const odd = about.lines.filter((line) => line.odd.length).map(({ source }) => data.sources[source].label).join(", ");
