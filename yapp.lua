@@ -345,6 +345,9 @@ function yapp.init()
   read_preferences()
   buses:init()
   socketcan.init()
+  -- A first pass without trees tells a remote frame from data by its header alone.  The page in a
+  -- browser pays for that; Wireshark's windows and sharkd, whose captures may be long, do not.
+  if yapp_reads_headers then socketcan.wrap(header) end
   types:reset(buses:are_several())
   reading:reset { late = settings.late, catalogue = catalogue, buses = buses }
   intake:reset()

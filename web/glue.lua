@@ -17,6 +17,9 @@ end
 
 local function ignore() end
 
+-- The plugin reads the header of each CAN frame, so that remote frames are no data.
+yapp_reads_headers = true
+
 -- The page is one of Wireshark's windows: packets can be read again at any time.
 function gui_enabled() return true end
 

@@ -51,8 +51,6 @@ export const version = (() => {
   return execFileSync(command[0], command.slice(1), { encoding: "utf8", stdio: ["ignore", "pipe", "ignore"] }).match(/(\d+\.\d+)\.\d+/)[1];
 })();
 
-// -2 -Y: a first pass with trees, so that remote frames are told.
-
 // The packet list with the profile's columns: a text for each frame, cells with tabs between.
 export const list = (path, messages) =>
   tshark(path, ["-2", "-Y", "frame", "-T", "tabs", "-o", `gui.column.format:${COLUMNS}`, "-o", "yapp.hide_source:TRUE"], messages);
