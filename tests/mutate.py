@@ -7,9 +7,8 @@
     mutate.py --each 5 --other             in each of the others: those that call Wireshark's API, extcap/ and tools/src
 
 A fault is another operator, another constant, a condition the other way round or a line left out; what does not compile is
-none.  The unit tests that load the module run, those that name it first, in Lua 5.4 and 5.2, in a copy of the tree; of a
-module that none loads, the tests of SUITES.  A mutant
-that no test fails on is shown with its line before and after; one that cannot be told from the module stands in
+none.  The unit tests that load the module run, those that name it first, in Lua 5.4 and 5.2, in a copy of the tree; then
+those that SUITES names for the module, or for its folder if no unit test loads it.  A mutant that no test fails on is shown with its line before and after; one that cannot be told from the module stands in
 tests/equivalent_mutants.txt with the reason.
 """
 import argparse
@@ -43,12 +42,15 @@ PYTHON_NO_STATEMENT = re.compile(r"\s*(?:$|#|def\b|class\b|else\b|try\b|except\b
                                  r'"""|[\])}{]|.*[,({\[:]\s*$)')
 # The quickest tests of what no unit test loads: the longest beginning counts.
 SUITES = {
-    "yapp.lua": ["tests/e2e/test_captures.py", "tests/e2e/test_preferences.py", "tests/e2e/test_install.py"],
+    "yapp.lua": ["tests/e2e/test_preferences.py", "tests/e2e/test_captures.py", "tests/e2e/test_install.py", "tests/e2e/test_buses.py",
+                 "tests/e2e/test_unknown_ids.py"],
     "yapp/": ["tests/e2e/test_captures.py", "tests/e2e/test_experts.py", "tests/e2e/test_statistics.py"],
     "yapp/show/": ["tests/e2e/test_captures.py", "tests/e2e/test_experts.py", "tests/e2e/test_flight_fields.py"],
-    "yapp/show/packet_menu.lua": ["tests/e2e/test_packet_menu.py"],
+    "yapp/show/fields.lua": ["tests/e2e/test_experts.py", "tests/e2e/test_captures.py"],
+    "yapp/show/packet.lua": ["tests/e2e/test_captures.py", "tests/e2e/test_streams.py"],
+    "yapp/host/can.lua": ["tests/e2e/test_captures.py", "tests/e2e/test_experts.py", "tests/e2e/test_can_soak.py", "tests/e2e/test_unknown_ids.py"],
+    "yapp/host/serial.lua": ["tests/e2e/test_captures.py", "tests/e2e/test_streams.py", "tests/e2e/test_stream_cases.py"],
     "yapp/host/": ["tests/e2e/test_captures.py", "tests/e2e/test_buses.py", "tests/e2e/test_streams.py"],
-    "yapp/host/preferences.lua": ["tests/e2e/test_preferences.py"],
     "yapp/serial/": ["tests/e2e/test_captures.py", "tests/e2e/test_streams.py"],
     "yapp/file/": ["tests/e2e/test_candump.py", "tests/e2e/test_dump.py", "tests/e2e/test_files.py"],
     "yapp/stat/": ["tests/e2e/test_statistics.py", "tests/e2e/test_gate.py"],
@@ -58,7 +60,7 @@ SUITES = {
 ENDS = {"if": "then", "elseif": "then", "while": "do"}
 # A line that is no statement of its own, or without which a local variable is nil: the first test sees that.  A field that is
 # nil in a constructor documents itself: without it nothing changes.
-NO_STATEMENT = re.compile(r"\s*(?:$|--|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|\w+ = nil,|[\])}{]|"
+NO_STATEMENT = re.compile(r"\s*(?:$|--|\"|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|\w+ = nil,|[\])}{]|"
                           r".*[,({]\s*$)")
 BYTES = re.compile(r"local [\w, ]+ = (?:\w+:byte\(|byte\([\w.]+, )[^(),]+, (?:\w+ \+ )?\d+\)$")
 LEAST = re.compile(r"if (\S+) [<>] (\S+) then \2 = \1 end$")
@@ -88,7 +90,9 @@ def loaded_by(test):
     """The modules that a file of unit tests loads."""
     code = ("package.path = './?.lua;./tests/unit/?.lua;' .. package.path .. ';/usr/share/lua/5.4/?.lua' "
             f"dofile('{test}') for name in pairs(package.loaded) do print(name) end")
-    return {pathlib.Path(name.replace(".", "/") + ".lua") for name in lua("-e", code).stdout.split()}
+    names = lua("-e", code).stdout.split()
+    names += re.findall(r'require\(?"(yapp[\w.]+)"', (ROOT / test).read_text())  # also what a test loads as it runs
+    return {pathlib.Path(name.replace(".", "/") + ".lua") for name in names}
 
 
 def other_number(word):
@@ -147,8 +151,9 @@ def mutants(path, text):
             end = next((one for one in tokens[at:] if one[0] == ENDS[word]), None)
             if end:
                 yield token.end(), end.start(), f" not ({text[token.end():end.start()].strip()}) "
+    texts = [token.span() for token in tokens if token[0].startswith("[[")]  # what stands in one is no statement
     for line in re.finditer(r"[^\n]+", text):
-        if not NO_STATEMENT.match(line[0]):
+        if not NO_STATEMENT.match(line[0]) and not any(first < line.start() < last for first, last in texts):
             yield (*line.span(), "")
 
 
@@ -202,7 +207,8 @@ def survives(folder, path, mutant, tests, seconds, python):
     try:
         if not tests:
             return passes_suite(folder, path, python)
-        return all(passes(folder, test, math.ceil(2 + 5 * seconds[test])) for test in tests)
+        return (all(passes(folder, test, math.ceil(2 + 5 * seconds[test])) for test in tests) and
+                (str(path) not in SUITES or passes_suite(folder, path, python)))
     except subprocess.TimeoutExpired:
         return False
     finally:

@@ -122,7 +122,9 @@ if kind == "effect" or not kind then
   function prefs_class.__newindex(prefs, key, value)
     list("effect", key)
     set_pref(prefs, key, value)
-    if is_planted("effect", key) then defaults[key] = get_pref(prefs, key) or "" end
+    if not is_planted("effect", key) then return end
+    defaults[key] = get_pref(prefs, key)
+    if defaults[key] == nil then defaults[key] = "" end -- of a range without a number
   end
   function prefs_class.__index(prefs, key)
     if defaults[key] ~= nil then return defaults[key] end

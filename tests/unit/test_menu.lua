@@ -8,9 +8,9 @@ local T = {}
 
 local NAMES = { "register_menu", "new_dialog", "TextWindow", "report_failure", "set_filter", "apply_filter",
   "copy_to_clipboard", "MENU_TOOLS_UNSORTED", "MENU_STAT_UNSORTED" }
--- The entries of Tools > YAPP in their order, and what each opens: typed once more.
+-- The entries of Tools > YAPP in their order, what each opens, and whether it asks first: typed once more.
 local OPENS = { { "Summary", "yapp,summary" }, { "Faults", "yapp,faults" }, { "Events", "yapp,events" },
-  { "Compare", "yapp,compare" }, { "Export tables", "yapp,csv" }, { "Check", "yapp,check" } }
+  { "Compare", "yapp,compare" }, { "Export tables", "yapp,csv", true }, { "Check", "yapp,check", true } }
 
 local seen -- what the plugin asked of the windows
 
@@ -66,7 +66,8 @@ function T.test_each_entry_opens_its_statistic()
     lu.assertEquals(item.group, "tools")
     local dialogs = #seen.dialogs
     item.act()
-    if #seen.dialogs > dialogs then
+    lu.assertEquals(#seen.dialogs - dialogs, row[3] and 1 or 0)
+    if row[3] then
       lu.assertEquals(last(seen.dialogs).title, "YAPP " .. title)
       last(seen.dialogs).act("")
     end
@@ -151,10 +152,14 @@ function T.test_show_frames()
   show("yapp,events")
   last(seen.windows).buttons["Show frames"]()
   lu.assertEquals({ seen.filters, seen.applied }, { { "frame.number in {7, 9}" }, 1 })
+  stat.frames = { 5 }
+  show("yapp,events")
+  last(seen.windows).buttons["Show frames"]()
+  lu.assertEquals(last(seen.filters), "frame.number in {5}")
   stat.frames = {}
   show("yapp,events")
   last(seen.windows).buttons["Show frames"]()
-  lu.assertEquals({ #seen.filters, seen.applied, #seen.failures }, { 1, 1, 1 })
+  lu.assertEquals({ #seen.filters, seen.applied, #seen.failures }, { 2, 2, 1 })
   stat.frames = {}
   for number = 1, 1001 do stat.frames[number] = number end
   show("yapp,events")
