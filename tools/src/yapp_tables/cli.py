@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The command: yapp-tables convert, report, baseline; prune, compact, vacuum, upgrade; install, check, uninstall."""
+"""The command: yapp-tables convert, report, graphs, baseline; prune, compact, vacuum; install, check, uninstall."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from pathlib import Path
 
-from . import __version__, baseline, fleet, install, upkeep
+from . import __version__, baseline, fleet, graphs, install, upkeep
 from .config import Config, read_fleet
 from .convert import KINDS
 from .errors import SetupError, YappError, count_of, need
@@ -90,6 +90,10 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("--rules", metavar="flight.rules", help="rules: their ranges are limits in the pictures")
     report.add_argument("--overlay", action="store_true", help="lay several flights over each other, on one page")
     report.set_defaults(run=_report)
+
+    draw = commands.add_parser("graphs", parents=[common], help="a line of each controller in the profile's graphs")
+    draw.add_argument("--out", metavar="FOLDER", help="of a profile; without it the profile YAPP")
+    draw.set_defaults(run=_graphs)
 
     learn = commands.add_parser("baseline", parents=[common], help="good flights to rules for -z yapp,check")
     learn.add_argument("--out", required=True, metavar="flight.rules", help="the file of rules")
@@ -203,6 +207,13 @@ def _report(given: argparse.Namespace) -> int:
     if any(page["partial"] for page in pages):
         return FAILED
     return (FAILED if given.strict else INCOMPLETE) if any(page["left_out"] for page in pages) else 0
+
+
+def _graphs(given: argparse.Namespace) -> int:
+    captures = fleet.find(_captures(given.captures))
+    folder, names = graphs.write_graphs(captures, _config(given), Path(given.out) if given.out else None)
+    _say([f"graphs of {', '.join(names)} in {folder}: choose the profile again, or start Wireshark again"])
+    return 0
 
 
 def _baseline(given: argparse.Namespace) -> int:
