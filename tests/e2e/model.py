@@ -3,7 +3,7 @@
 names typed once more, the float codec as its formula, and the CRC a bit at a time (test_captures/make.py).
 
 A message is one entry of MESSAGES: filter names, sweeps over its flags and reserved counts, and values follow from it.
-A statistic is one entry of STATISTICS, an expert item one of OF_MESSAGE, OF_CHANGE or OF_SEVERAL."""
+A statistic is one entry of STATISTICS, a kind of event one of KINDS, an expert item one of OF_MESSAGE, OF_CHANGE or OF_SEVERAL."""
 import struct
 
 MOTOR, HEALTH, COMMAND = 0x210, 0x200, 0x000
@@ -37,6 +37,17 @@ EXPERTS, CHANGE_EXPERTS, EVENT_EXPERTS = list(OF_MESSAGE), list(OF_CHANGE), [*OF
 HISTORY = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8", "yapp.copy_of": "FRAMENUM",
            "yapp.reassembled.data": "BYTES", "yapp.fragment.data": "BYTES", "yapp.like.command": "UINT32", "yapp.like.motor": "UINT32",
            "yapp.like.health": "UINT32", "yapp.can.id.missing": "NONE"}
+
+# Kinds of event, in the order of the lists.  hides: what the line about faults that may be hidden calls them; counted_as: the
+# rule that counts them, if it is not their own; of_capture: one verdict for the whole capture; optional: not in `check` alone.
+KINDS = {
+    "fault": {}, "crc": {"hides": "with a bad CRC"}, "incomplete": {"hides": "incomplete"},
+    "unfinished": {"hides": "cut off by the end of the capture", "counted_as": "incomplete"}, "missing": {"hides": "missing by Seq No"},
+    "reboot": {}, "stale": {}, "jump": {}, "shared": {}, "silence": {}, "invalid": {}, "clock": {"of_capture": True},
+    "dropped": {"hides": "lost while capturing", "of_capture": True}, "absent": {"of_capture": True}, "copies": {"optional": True},
+    "unknown": {}, "skipped": {"hides": "in bytes of no frame", "optional": True},
+}
+RULES = [name for name, kind in KINDS.items() if not ("counted_as" in kind or "optional" in kind)]  # of `check` alone
 
 # By the name behind -z yapp, in the order of the errors that list them: the title in menus.
 STATISTICS = {"summary": "Summary", "faults": "Faults", "events": "Events", "compare": "Compare", "csv": "Export tables",

@@ -53,16 +53,13 @@ def statistics(flight, form, capture, *whats, passes=(), check=True):
     return found, done.returncode
 
 
-HIDING = {"crc": "with a bad CRC", "incomplete": "incomplete", "unfinished": "cut off by the end of the capture",
-          "missing": "missing by Seq No", "dropped": "lost while capturing", "skipped": "in bytes of no frame"}
-
-
 def assert_left_out(said, truth, is_about_faults):
     """What the answers say that they leave out: messages that were not decoded, and those that may hide a fault."""
     events = truth["events"]
     unknown = sum(line["count"] for line in events if line["kind"] == "unknown")
+    hiding = {name: kind["hides"] for name, kind in model.KINDS.items() if "hides" in kind}
     counts = {text: sum(line.get("count", 1) for line in events if line["kind"] == kind and line["message"] in (None, "motor"))
-              for kind, text in HIDING.items()}
+              for kind, text in hiding.items()}
     counts["missing by their period"] = truth["missing_by_period"]
     hiding = ", ".join(f"{count} {text}" for text, count in counts.items() if count)
     expected = [f"yapp: {unknown} message"] * bool(unknown)
@@ -267,12 +264,6 @@ def test_shared_sources(seed):
     assert done.returncode == 20
 
 
-# The rules of kinds of event, and the kinds that some of them count; those that are of the whole capture.
-RULES = ["fault", "crc", "incomplete", "missing", "reboot", "stale", "jump", "shared", "silence", "invalid", "clock", "dropped",
-         "absent", "unknown"]
-COUNTED_AS = {"incomplete": ["incomplete", "unfinished"]}
-OF_CAPTURE = ["clock", "dropped", "absent"]
-
 # check ---------------------------------------------------------------------------------------------------------------
 
 def rules_of(summary, events):
@@ -280,13 +271,13 @@ def rules_of(summary, events):
     def seen(kind):
         counted = {}
         for line in events:
-            if line["kind"] in COUNTED_AS.get(kind, [kind]) and line.get("event", "raised") == "raised":
+            if kind in (line["kind"], model.KINDS[line["kind"]].get("counted_as")) and line.get("event", "raised") == "raised":
                 frames = counted.setdefault((line["bus"], line["id"], line["message"]), {})
                 frames[line["frame"]] = line.get("count", 1)  # several of a message are one
         counts = [sum(frames.values()) for frames in counted.values()] or [0]
-        return sum(counts) if kind in OF_CAPTURE else max(counts)
+        return sum(counts) if "of_capture" in model.KINDS[kind] else max(counts)
 
-    rules = [(kind, seen(kind)) for kind in RULES]
+    rules = [(kind, seen(kind)) for kind in model.RULES]
     loose = [f"{name}={count}" for name, count in rules]
     tight = [f"{name}={count - 1}" for name, count in rules if count]
     for kind in ("command", "motor", "health"):
@@ -403,8 +394,9 @@ def test_the_document_has_every_kind_of_event():
         {name: more for name, more, *_, is_counted_only in kinds if not is_counted_only}
     assert rules == {name for name, _, _, counts_as, *_ in kinds if not counts_as}
     assert re.findall(r"\w+", alone) == \
-        [name for name, _, is_optional, counts_as, *_ in kinds if not (is_optional or counts_as)] == RULES
-    assert OF_CAPTURE == [name for name, *_, scope, _ in kinds if scope == "capture"]
+        [name for name, _, is_optional, counts_as, *_ in kinds if not (is_optional or counts_as)] == model.RULES
+    assert [name for name, kind in model.KINDS.items() if "of_capture" in kind] == [name for name, *_, scope, _ in kinds if scope == "capture"]
+    assert list(model.KINDS) == [name for name, *_ in kinds]
 
 
 def test_the_document_has_every_rule_about_a_message():
