@@ -254,12 +254,13 @@ local function visit_packet(capture, kind, bytes, with)
   local number = with.number or capture.number + 1
   capture.number = number
   local address = kind == 0 and "" or "10.0.0.1"
-  local line = capture.reading.lines:of(kind, nil, address, 5000, "10.0.0.2:14550", not with.visited)
+  local line = capture.reading.lines:of(kind, address, 5000, "10.0.0.2", 14550, nil, not with.visited and number / 10)
   local packet = { key = number * frame_key.PACKET + 42, number = number, time = number / 10, epoch = false,
     visited = with.visited or false, bytes = bytes, length = #bytes + (with.truncated or 0),
     truncated = with.truncated ~= nil, is_datagram = line.is_datagram, is_complete = line.is_complete,
     is_tcp = line.is_tcp, is_found = capture.reading.found[line.trial_key], line = line, stream = line.key,
-    bus_name = line.bus, seq = with.seq, is_bus_known = true, is_only_pass = false, wants_state = false }
+    tag = line.tag, bus_name = line.bus, seq = with.seq, is_bus_known = true, is_only_pass = false,
+    wants_state = false }
   if with.try then return capture.reading:try_packet(packet) end
   if with.visited then return capture.reading:recall_packet(packet) end
   return capture.reading:add_packet(packet)
@@ -323,7 +324,7 @@ end
 
 function T.test_skipped_bytes_of_a_dump()
   local capture = new_capture()
-  local line = capture.reading.lines:of(lines.UDP, nil, "", 0, ":0", true)
+  local line = capture.reading.lines:of(lines.UDP, "", 0, "", 0)
   local packet = { key = 7 * frame_key.PACKET, number = 7, time = 0, visited = false, bytes = "?????", length = 5,
     line = line, stream = line.key, is_bus_known = true }
   lu.assertEquals(results_in_words(capture.reading:add_skipped(packet)), "skipped 5")

@@ -30,10 +30,10 @@ function T.test_short_names()
   end
 end
 
--- The names of the senders of a list of ports, after all of them.
-local function name_after(ports)
+-- The name of a sender after a list of ports, one each 0.1 s or at the times of a second list.
+local function name_after(ports, times)
   local self = senders.new()
-  for _, port in ipairs(ports) do self:note(V4, port) end
+  for i, port in ipairs(ports) do self:note(V4, port, times and times[i] or i / 10) end
   return self:name_of(V4, ports[#ports])
 end
 
@@ -46,6 +46,9 @@ end
 function T.test_new_ports_in_a_live_capture()
   lu.assertEquals(name_after(numbers(1, 15)), V4 .. ":15") -- so many controllers may be behind it
   lu.assertEquals(name_after(numbers(1, 16)), V4)
+  local at_once = {}
+  for i = 1, 16 do at_once[i] = i / 1000 end
+  lu.assertEquals(name_after(numbers(1, 16), at_once), V4 .. ":16") -- 16 controllers that begin
   lu.assertEquals(name_after { 5 }, V4 .. ":5")
   local two = {}
   for i = 1, 100 do two[i] = i % 2 end

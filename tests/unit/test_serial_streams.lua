@@ -37,7 +37,7 @@ end
 
 -- A row as a packet: key, bytes, what it holds, what it holds when all have come (the same if left out), other fields.
 local function packet_of(row, other)
-  local packet = { key = row[1], number = row[1], bytes = row[2], length = #row[2], epoch = 0, stream = "" }
+  local packet = { key = row[1], number = row[1], bytes = row[2], length = #row[2], epoch = 0, stream = "", tag = 0 }
   for _, fields in ipairs { other or {}, row } do
     for name, value in pairs(fields) do
       if type(name) == "string" then packet[name] = value end

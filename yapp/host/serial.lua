@@ -54,12 +54,14 @@ end
 
 -- Return the line of a packet, and whether it is known where the packet was captured.
 local function line_of(self, pinfo)
-  local kind, address, bus, is_bus_known = pinfo.port_type, tostring(pinfo.src), nil, true
-  if not lines.is_ip(kind, address) then
+  local kind, from, bus, is_bus_known, time = pinfo.port_type, tostring(pinfo.src), nil, true, nil
+  if not lines.is_ip(kind, from) then
     bus, is_bus_known = self.buses:of(pinfo, pinfo.number, 0)
+  elseif kind == lines.UDP and not pinfo.visited then
+    time = pinfo.rel_ts
   end
-  local to = tostring(pinfo.dst) .. ":" .. pinfo.dst_port
-  local line = self.reading.lines:of(kind, bus, address, pinfo.src_port, to, not pinfo.visited)
+  local line = self.reading.lines:of(kind, from, pinfo.src_port, tostring(pinfo.dst),
+    pinfo.dst_port, bus, time)
   return line, is_bus_known
 end
 
@@ -85,6 +87,7 @@ local function new_packet(self, line, pinfo, offset, bytes, length, wants)
     is_found = self.reading.found[line.trial_key], -- whether its conversation was found by content
     line = line,
     stream = line.key,
+    tag = line.tag,
     bus_name = line.bus,
     seq = nil, -- of TCP, if it is known: of the first byte
     is_bus_known = true, -- whether the capture tells where it was captured
@@ -102,6 +105,13 @@ local function whole_packet(self, tvb, pinfo, wants)
   return packet
 end
 
+-- Whether a packet of an unknown conversation may go on with a frame.  Few packets come while a
+-- conversation is on trial.
+local function may_go_on(streams, pinfo)
+  if streams.trial_count == 0 then return false end
+  return streams:may_go_on(lines.tag(pinfo.port_type, pinfo.src_port, pinfo.dst_port))
+end
+
 --- Return whether a packet of an unknown conversation is YAPP.
 function Dissector:accepts(tvb, pinfo, tree)
   local reading = self.reading
@@ -109,7 +119,7 @@ function Dissector:accepts(tvb, pinfo, tree)
   if pinfo.visited then
     return reading.streams:is_stored(pinfo.number * PACKET + tvb:offset())
   end
-  if not reading:may_be_yapp(tvb:raw()) then return false end
+  if not (reading:may_be_yapp(tvb:raw()) or may_go_on(reading.streams, pinfo)) then return false end
   local packet = whole_packet(self, tvb, pinfo, self.builder:wants(tree, pinfo, false))
   local is_found, is_in_pieces = reading:try_packet(packet)
   local is_tcp, port = packet.is_tcp, math.min(pinfo.src_port, pinfo.dst_port)
@@ -231,9 +241,10 @@ function Dissector:dissect_usb(kind, tvb, pinfo, tree)
   local part, reading = self.usb:read(kind, tvb:raw()), self.reading
   local bytes = part and part.bytes or ""
   if bytes == "" then return end
-  local line = reading.lines:of_adapter(part)
-  local is_found = reading.found[line.trial_key]
-  if not (is_found or reading:is_yapp(bytes) or reading.streams:may_begin(bytes)) then return end
+  local line = reading.lines:of_adapter(part.line)
+  local is_found, streams = reading.found[line.trial_key], reading.streams
+  local may_be_yapp = is_found or streams.may_begin(bytes) or streams:may_go_on(line.tag)
+  if not may_be_yapp then return end
   local wants = self.builder:wants(tree, pinfo, pinfo.visited)
   local length = part.truncated and #bytes + 1 or #bytes
   local packet = new_packet(self, line, pinfo, part.offset, bytes, length, wants)

@@ -179,9 +179,9 @@ function Reading:is_yapp(bytes)
   return false
 end
 
---- Return whether bytes of an unknown conversation may be YAPP, alone or with those of others.
+--- Return whether bytes of an unknown conversation may be YAPP, alone or with those behind them.
 function Reading:may_be_yapp(bytes)
-  return self:is_yapp(bytes) or #bytes <= MAX_SHORT and self.streams:may_begin(bytes)
+  return self:is_yapp(bytes) or #bytes <= MAX_SHORT and self.streams.may_begin(bytes)
 end
 
 -- Return the result of a finding, with the message that it holds.
@@ -241,7 +241,8 @@ function Reading:try_packet(packet)
   if not earlier then return false end
   self.found[line.trial_key] = true
   for _, one in ipairs(earlier) do self:add_packet(one) end
-  for _, one in ipairs(self.streams:end_trial(line.opposite)) do
+  local others = line.is_ip and self.streams:end_trial(line.opposite) or {}
+  for _, one in ipairs(others) do
     one.is_found = true
     self:add_packet(one)
   end

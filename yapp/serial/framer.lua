@@ -116,8 +116,8 @@ end
 -- index  in the text, 1-based
 local function candidate_at(self, index)
   local is_plausible, size, is_known = read_header(self, self.text, index)
-  local is_twice = self.telnet and find(self.text, TWICE, index, true) or math.huge
-  if is_twice < index + HEADER and (self.telnet == "is" or not is_plausible) then
+  local twice = self.telnet and find(self.text, TWICE, index, true)
+  if twice and twice < index + HEADER and (self.telnet == "is" or not is_plausible) then
     local header = undouble(self.text, index, HEADER)
     if not (header or self.is_ending) then return nil end
     local is_better, its_size, its_known = read_header(self, header or "", 1)
@@ -181,8 +181,9 @@ end
 -- Whether a candidate whose end has come is a frame; the end of one of telnet may move.
 function Framer:judge(candidate)
   local index, is_sure = candidate.from - self.text_from + 1, self.telnet == "is"
+  if not self.telnet then return self:is_good(self.text, index, candidate.length) end
   local last = index + candidate.length - 1
-  local twice = self.telnet and find(self.text, TWICE, index, true)
+  local twice = find(self.text, TWICE, index, true)
   local may_be_telnet = twice and twice <= last or is_sure and byte(self.text, last) == 255
   if not (may_be_telnet and is_sure) then
     candidate.to = candidate.from + candidate.length
@@ -361,7 +362,7 @@ function Framer:add(bytes, is_end, findings)
   self:search()
   if is_end then
     self:settle(self.to, "end")
-    self:forget()
+    if self.last > 0 then self:forget() end
     self.searched = self.to
   else
     local waiting = self:first_waiting()

@@ -21,6 +21,9 @@ function M.new(types, buses)
     types = types,
     buses = buses,
     senders = senders.new(),
+    by_address = memo(function() -- [from][to][tag, with the bus] = a line
+      return memo(function() return {} end)
+    end),
     by_key = {},
     has_serial = false, -- whether a line is neither of UDP or TCP nor of an adapter
     sources = memo(function() return {} end), -- [sender in UDP or TCP][ID]
@@ -38,6 +41,7 @@ end
 --   bus_key      what a Command and its answers have in common: one key for both directions of a
 --                conversation or adapter, one for all of a UART
 --   trial_key    what is found by content: a conversation, one direction of an adapter
+--   tag          what few lines share: the kind and ports of packets; the key of an adapter's
 --   bus          name or nil
 --   label        text that tells its sources apart, nil if nothing does
 --   has_address  whether its packets have a sender
@@ -52,6 +56,7 @@ local function new_line(key, opposite, bus_key, bus)
     opposite = opposite,
     bus_key = bus_key,
     trial_key = key,
+    tag = key,
     bus = bus,
     label = bus,
     has_address = false,
@@ -80,28 +85,41 @@ local function new_ip_line(self, kind, key, address, port, to)
   return line
 end
 
+--- Return a number for each kind and each pair of ports.
+-- kind  pinfo.port_type
+function M.tag(kind, port, to_port)
+  return (kind * 0x10000 + port) * 0x10000 + to_port
+end
+
+local function new_serial_line(self, bus, key, opposite, is_complete)
+  local line = new_line(key, opposite, "serial", self.buses:name(bus, false))
+  line.label, line.is_complete = bus and line.bus, is_complete
+  self.has_serial = true
+  return line
+end
+
 --- Return the line of a packet.
 -- kind           pinfo.port_type
+-- from, port     address and port of the sender
+-- to, to_port    of the receiver
 -- bus            number, nil for none
--- address, port  of the sender
--- to             "address:port" of the receiver
--- is_new         whether the packet comes for the first time
-function Lines:of(kind, bus, address, port, to, is_new)
-  local is_ip, here = M.is_ip(kind, address), address .. ":" .. port
-  if is_new and is_ip and kind == M.UDP then self.senders:note(address, port) end
-  local key = (bus or "") .. "|" .. kind .. "|" .. here .. "|" .. to
-  local line = self.by_key[key]
+-- time           of a datagram that comes for the first time, or nil
+function Lines:of(kind, from, port, to, to_port, bus, time)
+  local lines, number = self.by_address[from][to], M.tag(kind, port, to_port)
+  if bus then number = number + bus * 2 ^ 36 end
+  local line = lines[number]
+  if time then self.senders:note(from, port, time) end
   if line then return line end
-  if is_ip then
-    line = new_ip_line(self, kind, key, address, port, to)
+  local here, there = from .. ":" .. port, to .. ":" .. to_port
+  local key = (bus or "") .. "|" .. kind .. "|" .. here .. "|" .. there
+  if M.is_ip(kind, from) then
+    line = new_ip_line(self, kind, key, from, port, there)
+    line.tag = number
   else
-    local opposite = (bus or "") .. "|" .. kind .. "|" .. to .. "|" .. here
-    line = new_line(key, opposite, "serial", self.buses:name(bus, false))
-    line.label = bus and line.bus
-    self.has_serial = true
-    line.is_complete = kind == M.UDP
+    local opposite = (bus or "") .. "|" .. kind .. "|" .. there .. "|" .. here
+    line = new_serial_line(self, bus, key, opposite, kind == M.UDP)
   end
-  self.by_key[key] = line
+  lines[number], self.by_key[key] = line, line
   return line
 end
 
@@ -117,14 +135,14 @@ function Lines:unread(conversations)
   return list
 end
 
---- Return the line of a USB adapter.
--- part  of serial.usb
-function Lines:of_adapter(part)
-  local line = self.by_key[part.name]
+--- Return the line of an endpoint of a USB adapter.
+-- endpoint  the line of serial.usb
+function Lines:of_adapter(endpoint)
+  local line = self.by_key[endpoint.name]
   if not line then
-    line = new_line(part.name, part.opposite, part.device, part.name)
+    line = new_line(endpoint.name, endpoint.opposite, endpoint.device, endpoint.name)
     line.has_address = true
-    self.by_key[part.name] = line
+    self.by_key[endpoint.name] = line
   end
   return line
 end

@@ -13,15 +13,17 @@ local byte, sub = string.byte, string.sub
 
 local UDP, UDP_HEADER, TCP = 17, 8, 6
 -- A sender changes its port if it has so many ports, each with few datagrams in a row, and hardly
--- one comes back.  While a capture goes on, more of them are needed: several controllers behind one
--- address may send for the first time.
+-- one comes back.  While a capture goes on, more of them are needed, and more time: several
+-- controllers behind one address may send for the first time, and all do so again within a second.
 local MIN_PORTS, MIN_PORTS_LIVE, MAX_RUN, MAX_BACK = 4, 16, 4, 1 / 32
+local MIN_TIME = 1 -- seconds from its first port to one that is new
 
 local Senders = {}
 Senders.__index = Senders
 
 local function new_sender()
   return {
+    begin = nil,  -- when its first datagram came
     latest = nil, -- its latest port
     run = 0,      -- how many datagrams came from that in a row
     ports = {},   -- [port] = true
@@ -74,17 +76,20 @@ end
 
 --- Note a datagram of YAPP.
 -- address, port  of its sender
-function Senders:note(address, port)
+-- time           in seconds; 0 if it is not known
+function Senders:note(address, port, time)
   local sender = self.by_address[address]
   if sender.latest == port then
     sender.run = sender.run + 1
     return
   end
+  sender.begin = sender.begin or time
   if sender.ports[port] or sender.run > MAX_RUN then
     sender.back = sender.back + 1
   else
     sender.ports[port], sender.count = true, sender.count + 1
-    if takes_new_ports(sender, MIN_PORTS_LIVE) then self.is_changing[address] = true end
+    local is_late = time - sender.begin >= MIN_TIME
+    if is_late and takes_new_ports(sender, MIN_PORTS_LIVE) then self.is_changing[address] = true end
   end
   sender.latest, sender.run = port, 1
 end
@@ -145,7 +150,7 @@ function Senders:scan(bytes)
   for start in frames_in(bytes) do
     local index = start - UDP_HEADER
     local address = addresses_before(bytes, index, UDP)
-    if address then self:note(address, byte(bytes, index) * 256 + byte(bytes, index + 1)) end
+    if address then self:note(address, byte(bytes, index) * 256 + byte(bytes, index + 1), 0) end
   end
   for address, sender in pairs(self.by_address) do
     self.is_changing[address] = takes_new_ports(sender, MIN_PORTS) or nil

@@ -27,6 +27,7 @@ local MAX_WAIT, MAX_AHEAD = 1, 65535
 local MAX_DISTANCE = 2 ^ 20
 -- How many bytes of an unknown conversation are kept, and of how many conversations.
 local MAX_TRIAL, MAX_TRIALS = 4096, 64
+local MAX_HEADER = 24 -- bytes: in telnet each may be there twice
 
 -- Stands for the contents of a packet of good frames alone: Streams:find reads its bytes anew.
 local PLAIN = { findings = {}, pending = 0 }
@@ -62,6 +63,7 @@ function M.new(new_framer)
     by_key = memo(function() return new_stream(new_framer()) end),
     trials = {}, -- by key, of unknown conversations: { framer, packets }
     trial_count = 0,
+    trials_by_tag = {}, -- how many, by tag of serial.lines
     contents_by_key = {}, -- by frame key: what Streams:add returned
     seqs = {},     -- by key, of TCP: the sequence number that follows others' bytes
     gaps = {},     -- those that were not filled, see Streams:drops
@@ -324,7 +326,7 @@ end
 --   is_datagram, is_tcp  whether it is of UDP, of TCP
 --   is_complete  whether it is what the framing of a raw dump found
 --   is_found     whether its conversation was found by content: it may have datagrams of others
---   stream       key of the stream
+--   stream       key of the stream; tag = of its line
 --   seq          of TCP, if it is known: sequence number of the first byte
 --   length       number of bytes that it had }
 -- is_stored  whether Streams:find may ask for it
@@ -382,18 +384,31 @@ local function has_start(bytes)
   return bytes:find("YP", 1, true) or sub(bytes, -1) == "Y"
 end
 
---- Return whether a packet of an unknown conversation may begin a frame, or go on with one.
-function Streams:may_begin(bytes)
-  return self.trial_count > 0 or has_start(bytes)
+--- Return whether a frame may begin in a packet of an unknown conversation.
+Streams.may_begin = has_start
+
+--- Return whether a packet of an unknown conversation may go on with a frame.
+-- tag  of its line
+function Streams:may_go_on(tag)
+  return self.trials_by_tag[tag] ~= nil
+end
+
+local function count_trial(self, tag, change)
+  local by_tag = self.trials_by_tag
+  local count = (by_tag[tag] or 0) + change
+  self.trial_count, by_tag[tag] = self.trial_count + change, count > 0 and count or nil
 end
 
 -- Begin the trial of a conversation, if a frame may begin in its bytes.
 local function new_trial(self, packet)
   if not has_start(packet.bytes) then return nil end
-  if self.trial_count >= MAX_TRIALS then self.trials, self.trial_count = {}, 0 end
-  local trial = { framer = self.new_framer(), packets = {} }
+  if self.trial_count >= MAX_TRIALS then
+    self.trials, self.trials_by_tag, self.trial_count = {}, {}, 0
+  end
+  local trial = { framer = self.new_framer(), packets = {}, tag = packet.tag }
   if packet.is_tcp then trial.framer:expect_telnet() end
-  self.trials[packet.stream], self.trial_count = trial, self.trial_count + 1
+  self.trials[packet.stream] = trial
+  count_trial(self, trial.tag, 1)
   return trial
 end
 
@@ -411,15 +426,17 @@ end
 function Streams:end_trial(key)
   local trial = self.trials[key]
   if not trial then return {} end
-  self.trials[key], self.trial_count = nil, self.trial_count - 1
+  self.trials[key] = nil
+  count_trial(self, trial.tag, -1)
   return trial.packets
 end
 
--- Keep a packet of a trial, if bytes of it may go on.
+-- Keep a packet of a trial, if bytes of it may go on: with a plausible header, or the start of one.
 local function goes_on(trial, packet)
   local framer = trial.framer
   local pending = framer.to - framer.from
   if pending == 0 or pending > MAX_TRIAL then return false end
+  if pending >= MAX_HEADER and not framer:open_frame() then return false end
   table.insert(trial.packets, packet)
   return true
 end

@@ -79,7 +79,7 @@ function M.new()
   }, Usb)
 end
 
--- Read what a device says of itself.
+-- Read what a device says of itself; return nil.
 local function read_descriptors(device, data)
   local offset = 0
   while offset + 2 <= #data do
@@ -122,35 +122,53 @@ local function without_status(data, size)
   return table.concat(parts)
 end
 
+-- Return the device of a packet, which may be new.
+local function device_of(self, header)
+  local number = header.bus * 0x10000 + header.device
+  local device = self.devices[number]
+  if not device then
+    device = { name = ("usb%d.%d"):format(header.bus, header.device), sizes = {}, lines = {} }
+    self.devices[number] = device
+  end
+  return device
+end
+
+-- Return the line of an endpoint, see Usb:read.
+local function line_of(device, endpoint)
+  local line = device.lines[endpoint]
+  if not line then
+    local name = ("%s.%d"):format(device.name, endpoint % 0x80)
+    local rx, tx = name .. "#rx", name .. "#tx"
+    local is_in = endpoint >= 0x80
+    line = { name = is_in and rx or tx, opposite = is_in and tx or rx, device = device.name }
+    device.lines[endpoint] = line
+  end
+  return line
+end
+
 --- Read a packet.
 -- kind   of HEADERS: "usbmon", "usbmon_mapped", "usbpcap"
 -- bytes  those that were captured
 -- returns  nil if it has no bytes of a line, else {
---   opposite   name of the other direction of its endpoint
---   device     name of the adapter: usb1.6, of bus 1 and address 6
---   name       of the line: usb1.6.1#rx, of endpoint 1; rx is from the adapter to the host
+--   line       {
+--     name      usb1.6.1#rx, of endpoint 1; rx is from the adapter to the host
+--     opposite  name of the other direction of its endpoint
+--     device    name of the adapter: usb1.6, of bus 1 and address 6 }
 --   bytes      of the line
 --   offset     of its data in the packet
 --   has_status  whether there is more than the bytes of the line
 --   truncated  whether the packet had more }
 function Usb:read(kind, bytes)
   local header = HEADERS[kind](bytes)
-  if not header then return nil end
-  local address = ("usb%d.%d"):format(header.bus, header.device)
-  local data, endpoint = sub(bytes, header.offset + 1), header.endpoint
-  local device = self.devices[address] or { sizes = {} }
-  self.devices[address] = device
-  if header.transfer == CONTROL then read_descriptors(device, data) end
-  if header.transfer ~= BULK or data == "" then return nil end
-  local size, length = status_size(device, endpoint, data), #data
-  if size then data = without_status(data, size) end
-  local is_in = endpoint >= 0x80
-  local name = ("%s.%d"):format(address, endpoint % 0x80)
+  local transfer = header and header.transfer
+  if transfer ~= BULK and transfer ~= CONTROL then return nil end
+  local device, data = device_of(self, header), sub(bytes, header.offset + 1)
+  if transfer == CONTROL then return read_descriptors(device, data) end
+  if data == "" then return nil end
+  local size, length = status_size(device, header.endpoint, data), #data
   return {
-    opposite = name .. (is_in and "#tx" or "#rx"),
-    device = address,
-    name = name .. (is_in and "#rx" or "#tx"),
-    bytes = data,
+    line = line_of(device, header.endpoint),
+    bytes = size and without_status(data, size) or data,
     offset = header.offset,
     has_status = size ~= nil,
     truncated = length < header.length,
