@@ -44,27 +44,42 @@ local function padding(frame, needed)
   end
 end
 
--- Frames that came twice: a run of frames alike, of which some fewer are the message; the first
--- ones stay.
+-- The runs of equal chunks before the last one: list of { from, to }.
+local function runs_of(chunks)
+  local list, at = {}, 1
+  while at < #chunks do
+    local from = at
+    while at + 1 < #chunks and chunks[at + 1] == chunks[from] do at = at + 1 end
+    if at > from then list[#list + 1] = { from, at } end
+    at = at + 1
+  end
+  return list
+end
+
+-- Frames that came twice: runs of frames alike, of which some fewer are the message; the first ones
+-- stay.  Every choice is tried, most of the first run first.
 -- needed   bytes of the last frame if none came twice
 -- returns  { [index] = true } of those too many; padding
 local function repeated(message, frame, needed)
-  local chunks, at = message.chunks, 1
-  while at < #chunks do
-    local first = at
-    while at + 1 < #chunks and chunks[at + 1] == chunks[first] do at = at + 1 end
-    for count = 1, at - first do
-      local rest, out = {}, {}
+  local chunks = message.chunks
+  local runs, out = runs_of(chunks), {}
+  local function try(index, rest_needed)
+    local run = runs[index]
+    if not run then
+      local rest, zeros = {}, padding(frame, rest_needed)
       for i, chunk in ipairs(chunks) do
-        if i > first and i <= first + count then out[i] = true else rest[#rest + 1] = chunk end
+        if not out[i] then rest[#rest + 1] = chunk end
       end
-      local zeros = padding(frame, needed + count * #chunks[first])
-      if zeros and is_good(message, table.concat(rest):sub(1, message.size)) then
-        return out, zeros
-      end
+      return zeros and is_good(message, table.concat(rest):sub(1, message.size)) and zeros
     end
-    at = at + 1
+    for count = run[2] - run[1], 0, -1 do
+      for i = run[1] + 1, run[2] do out[i] = i <= run[1] + count or nil end
+      local zeros = try(index + 1, rest_needed + count * #chunks[run[1]])
+      if zeros then return zeros end
+    end
   end
+  local zeros = try(1, needed)
+  if zeros then return out, zeros end
 end
 
 -- A message has ended: its frames lead to the last one.
@@ -93,6 +108,7 @@ local function finish(verdicts, message, frame, say)
     if not message.is_cut and not is_good(message, payload) then status = "bad" end
   elseif not message.status and excess > 0 and not message.is_cut then
     out, zeros = repeated(message, frame, needed)
+    out = out or {}
   end
   if zeros then
     say(at, status)
@@ -156,7 +172,7 @@ local function take_fragment(self, slot, frame, id, say)
     return
   end
   local too_many = message.received - message.size
-  if message.status or too_many > 0 and too_many > math.min(message.alike, 8 * frame.reported) then
+  if message.status or too_many > 0 and too_many > message.alike then
     message.status = "overrun"
     return say(frame.number, ".", "fragment.overrun")
   end

@@ -74,7 +74,8 @@ local OTHER = { "start", "orphan", "orphan" } -- by CAN CTRL
 function M.visit(known, frame, visited)
   local fields, bus = can_id.fields[frame.can_id], frame.bus or false
   local record = { key = frame.number * frame_key.PACKET + (frame.offset or 8), can_id = fields,
-    slot = can_id.slot(fields, frame.bus or 0), source = known.source_of(fields.id, bus), bus = bus,
+    time = frame.time or frame.number, slot = can_id.slot(fields, frame.bus or 0),
+    source = known.source_of(fields.id, bus), bus = bus,
     data = frame.data, reported = frame.reported or #frame.data,
     accepts_all = frame.accepts_all or false, is_only_pass = frame.is_only_pass or false }
   local look = visited and known.reassembly.recall or known.reassembly.add
@@ -113,13 +114,14 @@ end
 
 -- The bytes of one word on the bus.
 local function data_of(sender, name, id, kind, number, marks)
-  if kind == "S" then
+  if kind == "S" and not marks:find("=", 1, true) then
     sender.count = sender.count + 1
     sender.payload, sender.at = payload_of(name .. "x", sender.count, number), 1
-    return M.start(id[1], sender.payload, { ctl = id[2], seq = id[3],
+    sender.start = M.start(id[1], sender.payload, { ctl = id[2], seq = id[3],
       wrong = marks:find("!", 1, true) and true,
       reserved = marks:find("r", 1, true) and 5 or nil })
   end
+  if kind == "S" then return sender.start end
   if marks:find("?", 1, true) then return ("?"):rep(number) end
   if marks:find("=", 1, true) then return sender.payload:sub(sender.at - number, sender.at - 1) end
   local data = sender.payload:sub(sender.at, sender.at + number - 1)
@@ -129,7 +131,7 @@ end
 
 --- The frames that words mean, numbered from 1 on.
 -- options  ids = { [sender] = { id, ctl, seq } }, accepts_all, buses (true: each sender has a bus of
---          its own, which the capture tells)
+--          its own, which the capture tells), gap = seconds between frames, 1 if left out
 function M.frames(text, options)
   local senders, list, ids = {}, {}, options.ids or {}
   for word in text:gmatch("%S+") do
@@ -141,7 +143,7 @@ function M.frames(text, options)
     data = data:sub(1, length) .. ("\0"):rep(length - #data)
     local captured = marks:match("~(%d+)")
     list[#list + 1] = { can_id = M.can_id(id[1], KIND[kind], id[2], id[3]), number = #list + 1,
-      reported = length,
+      reported = length, time = #list * (options.gap or 1),
       data = captured and data:sub(1, captured) or data, accepts_all = options.accepts_all,
       bus = options.buses and ("_" .. name):byte(-1) or nil }
   end

@@ -167,7 +167,7 @@ function T.test_a_frame_delivered_twice()
       { "S32 M8 M8 M8= M8 E8", ". . . .+fragment.duplicate . good" },
       -- of several runs
       { "S32 M8 M8= M8 M8= M8 M8= E8",
-        ". . . . . . . overrun+fragment.overrun" },
+        ". . .+fragment.duplicate . .+fragment.duplicate . .+fragment.duplicate good" },
       { "S32 M8 M8= M8= M8 M8 E8",
         ". . .+fragment.duplicate .+fragment.duplicate . . good" },
       -- the CRC proves nothing
@@ -204,13 +204,12 @@ function T.test_anomalies_say_which_frames()
     "End fragment: no Start captured" })
 end
 
--- Payloads may have frames alike by themselves: which of them came twice is looked for in eight of
--- such runs, from the start of the message.
+-- Payloads may have frames alike by themselves: 64 choices of those that came twice are tried.
 function T.test_a_frame_delivered_twice_behind_others_alike()
-  for runs, expected in pairs { [7] = "good", [8] = "overrun+fragment.overrun" } do
+  for runs, expected in pairs { [63] = "good", [64] = "overrun+fragment.overrun" } do
     local chunks = {}
     for run = 1, runs do
-      local chunk = ("%d"):rep(8):format(run, run, run, run, run, run, run, run)
+      local chunk = ("run %04d"):format(run)
       chunks[2 * run - 1], chunks[2 * run] = chunk, chunk
     end
     local twice = #chunks + 1
@@ -224,6 +223,28 @@ function T.test_a_frame_delivered_twice_behind_others_alike()
         bus = 1 })
     end
     lu.assertEquals(said, expected, runs)
+  end
+end
+
+-- A recorder holds some frames of a message twice, any of them: nothing is lost.
+function T.test_some_frames_are_recorded_twice()
+  local whole, twice = " . . . . good", ".+fragment.duplicate"
+  for _, is_told in ipairs { true, false } do
+    local near = { ids = MOTOR, buses = is_told, gap = 1e-3 }
+    for text, expected in pairs {
+      ["S32 M8 M8 M8 E8 E8="] = ". . . . good " .. twice,
+      ["S32 M8 M8 M8 E8 E8= E8= S32 M8 M8 M8 E8"] =
+        ". . . . good " .. twice .. " " .. twice .. whole,
+      ["S32 S32= M8 M8 M8 E8 S32 M8 M8 M8 E8 S32 S32= M8 M8 M8 E8 E8= S32 M8 M8 M8 E8"] =
+        "." .. whole .. whole .. " ." .. whole .. " " .. twice .. whole,
+    } do
+      lu.assertEquals((words.send(text, near)), expected, text)
+    end
+    -- Not of the same message: a second later, or with other bytes.
+    lu.assertEquals((words.send("S32 M8 M8 M8 E8 E8=", { ids = MOTOR, buses = is_told })),
+      ". . . . good orphan+fragment.orphan")
+    lu.assertEquals((words.send("S32 M8 M8 M8 E8 E8?", near)),
+      ". . . . good orphan+fragment.orphan")
   end
 end
 

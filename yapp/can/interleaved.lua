@@ -13,6 +13,9 @@ local frame_key = require "yapp.base.frame_key"
 
 local M = {}
 
+--- Seconds between a frame and its copy, as of reading.copies.
+M.MAX_DISTANCE = 0.02
+
 local MAX_SUPERSEDED = 3 -- a message that more Starts than this superseded is given up
 local MAX_WASTE = 4096   -- bytes in the pool beyond what its messages can use
 local CREDIT_PER_FRAME, MAX_CREDIT = 32, 4096 -- steps of the search
@@ -66,6 +69,7 @@ function M.new(reassembly, message, fields)
     keys = {}, -- of the frames
     bytes = 0, -- of the frames
     since = 0, -- bytes of those that came since the newest Start
+    time = 0, -- of the newest frame
     starts = 0, -- number of Starts that superseded others
     credit = MAX_CREDIT,
     reserve = 0, -- credit to leave for other messages: of 400, with 4 open, the first may use 100
@@ -199,18 +203,32 @@ local function assign_frames(message, frames)
   return table.concat(chunks), is_truncated
 end
 
+-- A recorder may hold the Start of a good message twice: it opened another one, which is not lost.
+local function forgive_copies(self, message)
+  for _, candidate in ipairs(self.open) do
+    local other = candidate.message
+    local is_near = math.abs(other.time - message.time) < M.MAX_DISTANCE
+    if is_near and other.crc == message.crc and other.size == message.size then
+      other.status = other.status or "superseded"
+      if candidate.anomaly then withdraw(candidate.anomaly) end
+    end
+  end
+end
+
 -- End an open message with these frames: with a status if it is known, else the CRC decides.
 -- index    of its candidate
 -- returns  the message
 local function award(self, index, frames, padding, status)
   local candidate = table.remove(self.open, index)
   local message = candidate.message
+  message.time = self.time
   local payload, is_truncated = assign_frames(message, frames)
   if is_truncated then status = status or "truncated" end
   self.reassembly:finish(message, self.can_id, payload, padding, status)
   if message.status == "good" then -- else its frames may still be another's
     for _, frame in ipairs(frames) do frame.is_taken = true end
     if candidate.anomaly then withdraw(candidate.anomaly) end
+    forgive_copies(self, message)
   end
   drop_frames(self)
   return message
@@ -268,9 +286,12 @@ function Pool:add_fragment(frame)
   local is_end = ctrl == can_id.END
   local pooled = new_frame(frame.key, frame.data, frame.reported, is_end)
   add_frame(self, pooled)
+  self.time = frame.time
   self.credit = math.min(math.max(self.credit, 0) + CREDIT_PER_FRAME, MAX_CREDIT)
   local completed = is_end and complete(self)
   if completed then return "last", completed end
+  local ended = newest.status and self.reassembly:note_repeated_end(frame)
+  if ended then return "fragment", ended end
   if newest.status then
     kind, pooled.orphan = "other", self.reassembly:orphan(ctrl)
     pooled.orphan.is_open = true

@@ -30,7 +30,8 @@ local M = {}
 local concat = table.concat
 
 local MAX_OPEN = 1024 -- an open message costs memory until something ends it
-local MAX_RUNS = 8 -- runs of equal fragments that are searched for duplicates
+local MAX_TRIES = 64 -- to leave out fragments that came twice
+local MAX_DISTANCE = interleaved.MAX_DISTANCE
 
 local MISFIT = { -- by status
   incomplete = "The message that started in frame %d ends with %d of %d bytes",
@@ -47,6 +48,7 @@ function M.new(max_open)
     max_open = max_open or MAX_OPEN,
     open = {}, -- [slot] = the message that is open there, or can.interleaved of several
     open_count = 0,
+    ended = {}, -- [slot] = the good message that ended there last
     accepted = {}, -- [message ID] = true once a Start of it was accepted
     buses = {}, -- [bus, 0 for an unknown one] = true once a Start came there
     store = store.new(),
@@ -91,7 +93,7 @@ end
 -- fields   of its CAN ids (wire.can_id)
 -- padding  how many of the payload's bytes are CAN FD padding; nil for none
 -- status   where it is known; else the CRC decides between "good" and "bad"
-function Reassembly.finish(_, message, fields, payload, padding, status)
+function Reassembly:finish(message, fields, payload, padding, status)
   if (padding or 0) > 0 then
     message.padding, payload = padding, payload:sub(1, message.size)
   end
@@ -100,7 +102,11 @@ function Reassembly.finish(_, message, fields, payload, padding, status)
   local calculated = can_id.crc(fields, payload, message.reserved)
   message.status = calculated == message.crc and "good" or "bad"
   -- COMPAT 5.2: only here, as to write nil under a name that has none makes the table anew.
-  if message.status == "bad" then message.calculated = calculated end
+  if message.status == "bad" then
+    message.calculated = calculated
+  else
+    self.ended[message.slot] = message
+  end
 end
 
 --- End a message that no last frame will show.  Keep a copy of what revisits of its fragments need:
@@ -241,34 +247,53 @@ end
 
 -- Middles and Ends -------------------------------------------------------------------------------
 
--- CAN delivers a frame twice if its sender missed the acknowledgement.  So a message that is too
--- long may have duplicates in one run of equal fragments.  If its CRC is good without them, leave
--- them out.
--- frame   the last one
--- needed  the bytes that this frame should have if nothing is left out
+-- Try to end a message whose last frame came, without some of its fragments.  Of each run of equal
+-- fragments the first ones stay.
+-- goal      { message, chunks, frame = the last one, tries = how many are left,
+--             out = { [index] = whether to leave out this chunk } }
+-- first     fragment from which on to leave out
+-- needed    the bytes that the last frame should have
+-- returns   whether the CRC is good
+local function try_without(self, goal, first, needed)
+  local message, chunks, frame = goal.message, goal.chunks, goal.frame
+  if first >= #chunks then -- the last chunk is that of the last frame
+    goal.tries = goal.tries - 1
+    local padding = can_id.padding(frame.data, frame.reported, needed)
+    if not padding then return false end
+    local kept = {}
+    for i, chunk in ipairs(chunks) do
+      if not goal.out[i] then kept[#kept + 1] = chunk end
+    end
+    self:finish(message, frame.can_id, concat(kept), padding)
+    return message.status == "good"
+  end
+  local last = first
+  while last + 1 < #chunks and chunks[last + 1] == chunks[first] do last = last + 1 end
+  local size = math.max(#chunks[first], 1)
+  for count = math.min(last - first, math.floor((frame.reported - needed) / size)), 0, -1 do
+    for i = first + 1, last do goal.out[i] = i <= first + count end
+    if try_without(self, goal, last + 1, needed + count * size) then return true end
+    if goal.tries == 0 then return false end
+  end
+end
+
+-- A frame comes twice if its sender missed the acknowledgement, or if a recorder holds it twice.
+-- So a message that is too long may have such frames.  If its CRC is good without them, leave them
+-- out.
+-- needed   the bytes that the last frame should have if nothing is left out
 -- returns  whether the CRC was good without some: then the message has ended
 local function leave_out(self, message, frame, needed)
-  local chunks, first, tries = message.chunks, 1, 0
-  -- The last chunk is the End: a second End would follow a message that has ended.
-  for index = 2, #chunks - 1 do
-    if chunks[index] ~= chunks[first] then first = index end
-    local size = needed + (index - first) * #chunks[first]
-    local padding = index > first and can_id.padding(frame.data, frame.reported, size)
-    if padding then
-      local rest = concat(chunks, "", index + 1, #chunks - 1) .. frame.data:sub(1, size)
-      self:finish(message, frame.can_id, concat(chunks, "", 1, first) .. rest)
-      if message.status == "good" then
-        message.padding = padding > 0 and padding or nil
-        for _ = first + 1, index do
-          local key = table.remove(message, first + 2)
-          if self.keeps then self.store:keep_duplicate(key, message[first + 1]) end
-        end
-        return true
-      end
-      tries = tries + 1
-      if tries == MAX_RUNS then return end
+  local goal = { message = message, chunks = message.chunks, frame = frame, tries = MAX_TRIES,
+    out = {} }
+  if not try_without(self, goal, 1, needed) then return false end
+  for index = #message - 1, 2, -1 do -- the first fragment is behind the Start
+    if goal.out[index - 1] then
+      local key, original = table.remove(message, index), index - 1
+      while goal.out[original - 1] do original = original - 1 end
+      if self.keeps then self.store:keep_duplicate(key, message[original]) end
     end
   end
+  return true
 end
 
 -- End a message with its last frame.
@@ -279,20 +304,33 @@ local function finish_last(self, message, frame)
   if chunks.is_truncated then status = "truncated" end
   if not padding then
     if chunks.repeated and not status and leave_out(self, message, frame, needed) then return end
-    message.calculated = nil
+    message.calculated, message.padding = nil, nil
     status = self:misfit(message, chunks.received)
   end
   self:finish(message, frame.can_id, concat(chunks), padding, status)
 end
 
+--- Note an End that came twice.
+-- returns  its message; nil if it is the first
+function Reassembly:note_repeated_end(frame)
+  local message = frame.can_id.ctrl == can_id.END and self.ended[frame.slot]
+  if not message or frame.time - message.time >= MAX_DISTANCE then return nil end
+  local length = frame.reported - (message.padding or 0)
+  if length < 1 or frame.data:sub(1, length) ~= message.payload:sub(-length) then return nil end
+  if self.keeps then self.store:keep_duplicate(frame.key, message[#message]) end
+  return message
+end
+
 -- Add a Middle or End whose slot has no message, or several that interleave.
 local function continue_other(self, frame, pool)
-  local fields = frame.can_id
+  local fields, kind, message = frame.can_id, "fragment", nil
   if pool then
-    local kind, message = pool:add_fragment(frame)
+    kind, message = pool:add_fragment(frame)
     if #pool:messages() == 0 then close(self, frame.slot) end
     return kind, message
   end
+  message = self:note_repeated_end(frame)
+  if message then return kind, message end
   if not frame.accepts_all and (fields.ctl ~= 0 or not frame.source.size) then return nil end
   self:orphan(fields.ctrl)
   return "other"
@@ -318,7 +356,7 @@ local function continue(self, frame)
     return "last", message
   end
   local excess = received - message.size
-  if excess > 0 and excess > math.min(chunks.repeated or 0, MAX_RUNS * reported) then
+  if excess > 0 and excess > (chunks.repeated or 0) then
     message.status = self:misfit(message, received)
     message.chunks = { received = received, is_truncated = true } -- its bytes are of no use
   end
