@@ -204,15 +204,13 @@ local function assign_frames(message, frames)
 end
 
 -- A recorder may hold the Start of a good message twice: it opened another one, which is not lost.
-local function forgive_copies(self, message)
-  for _, candidate in ipairs(self.open) do
-    local other = candidate.message
-    local is_near = math.abs(other.time - message.time) < M.MAX_DISTANCE
-    if is_near and other.crc == message.crc and other.size == message.size then
-      other.status = other.status or "superseded"
-      if candidate.anomaly then withdraw(candidate.anomaly) end
-    end
+local function forgive_copy(self, message)
+  local newest = self.open[#self.open]
+  local other = newest and newest.message
+  if not other or other.status or math.abs(other.time - message.time) >= M.MAX_DISTANCE then
+    return
   end
+  if other.crc == message.crc and other.size == message.size then other.status = "superseded" end
 end
 
 -- End an open message with these frames: with a status if it is known, else the CRC decides.
@@ -228,7 +226,7 @@ local function award(self, index, frames, padding, status)
   if message.status == "good" then -- else its frames may still be another's
     for _, frame in ipairs(frames) do frame.is_taken = true end
     if candidate.anomaly then withdraw(candidate.anomaly) end
-    forgive_copies(self, message)
+    forgive_copy(self, message)
   end
   drop_frames(self)
   return message
@@ -282,18 +280,16 @@ end
 --- Add a Middle or End.
 -- returns  as Reassembly:add
 function Pool:add_fragment(frame)
-  local ctrl, newest, kind = frame.can_id.ctrl, self.open[#self.open].message, "fragment"
-  local is_end = ctrl == can_id.END
+  local newest, kind = self.open[#self.open].message, "fragment"
+  local is_end = frame.can_id.ctrl == can_id.END
   local pooled = new_frame(frame.key, frame.data, frame.reported, is_end)
   add_frame(self, pooled)
   self.time = frame.time
   self.credit = math.min(math.max(self.credit, 0) + CREDIT_PER_FRAME, MAX_CREDIT)
   local completed = is_end and complete(self)
   if completed then return "last", completed end
-  local ended = newest.status and self.reassembly:note_repeated_end(frame)
-  if ended then return "fragment", ended end
   if newest.status then
-    kind, pooled.orphan = "other", self.reassembly:orphan(ctrl)
+    kind, pooled.orphan = "other", self.reassembly:orphan(frame)
     pooled.orphan.is_open = true
   else
     newest[#newest + 1], newest.time = frame.key, frame.time -- as it seems

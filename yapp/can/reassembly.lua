@@ -64,19 +64,30 @@ end
 -- text, ...  as for string.format
 -- returns    an anomaly: { expert = name of an expert item, text, lost = key of the Start of the
 --            message that is lost, or nil, is_open = whether it may still be withdrawn,
---            is_withdrawn = whether a later frame has proved that nothing is wrong }
+--            is_withdrawn = whether a later frame has proved that nothing is wrong; is_copy =
+--            whether a recorder holds the frame twice, so nothing is lost }
 function Reassembly:note(expert, message, text, ...)
-  -- is_open and is_withdrawn are nil until can.interleaved sets them: that halves the memory.
+  -- The others are nil until they are set: that halves the memory.
   local anomaly = { expert = expert, text = text:format(...), lost = message and message[1] }
   if not self.anomalies then self.anomalies = {} end
   table.insert(self.anomalies, anomaly)
   return anomaly
 end
 
+-- Return whether an End came twice: it equals that of the message that ended in its slot.
+local function is_repeated_end(self, frame)
+  local message = frame.can_id.ctrl == can_id.END and self.ended[frame.slot]
+  if not message or frame.time - message.time >= MAX_DISTANCE then return false end
+  local length = frame.reported - (message.padding or 0)
+  return length > 0 and frame.data:sub(1, length) == message.payload:sub(-length)
+end
+
 --- Note that the message of a Middle or End is not known.
-function Reassembly:orphan(ctrl)
-  local name = can_id.CTRL_NAMES[ctrl]
-  return self:note("fragment.orphan", nil, "%s fragment: no Start captured", name)
+function Reassembly:orphan(frame)
+  local name = can_id.CTRL_NAMES[frame.can_id.ctrl]
+  local anomaly = self:note("fragment.orphan", nil, "%s fragment: no Start captured", name)
+  anomaly.is_copy = is_repeated_end(self, frame) or nil
+  return anomaly
 end
 
 --- Note that a message has more or fewer bytes than its size.
@@ -156,6 +167,13 @@ local function make_room(self)
     "%d messages are open: the oldest %d are given up", #list, count)
 end
 
+-- Return whether a Start came twice: it equals that of a message without further fragments.
+local function is_repeated_start(message, frame)
+  local sum, size = can_id.start(frame.data)
+  return #message == 1 and message.crc == sum and message.size == size and
+    frame.time - message.time < MAX_DISTANCE
+end
+
 -- A Start came while a message is open in its slot.  It may supersede that message, or be of
 -- another bus: where no bus is known, or a converter lost the buses.  Later frames decide.
 -- returns  a pool of can.interleaved if the message stays open, else nil
@@ -167,6 +185,7 @@ local function supersede(self, frame)
     anomaly = self:note("fragment.incomplete", newest,
       "A new Start supersedes the message that started in frame %d: %d of %d bytes came",
       frame_key.number(newest[1]), chunks and chunks.received or open.since, newest.size)
+    anomaly.is_copy = is_repeated_start(newest, frame) or nil
   end
   if open == newest then
     if chunks.is_truncated then
@@ -310,29 +329,16 @@ local function finish_last(self, message, frame)
   self:finish(message, frame.can_id, concat(chunks), padding, status)
 end
 
---- Note an End that came twice.
--- returns  its message; nil if it is the first
-function Reassembly:note_repeated_end(frame)
-  local message = frame.can_id.ctrl == can_id.END and self.ended[frame.slot]
-  if not message or frame.time - message.time >= MAX_DISTANCE then return nil end
-  local length = frame.reported - (message.padding or 0)
-  if length < 1 or frame.data:sub(1, length) ~= message.payload:sub(-length) then return nil end
-  if self.keeps then self.store:keep_duplicate(frame.key, message[#message]) end
-  return message
-end
-
 -- Add a Middle or End whose slot has no message, or several that interleave.
 local function continue_other(self, frame, pool)
-  local fields, kind, message = frame.can_id, "fragment", nil
+  local fields = frame.can_id
   if pool then
-    kind, message = pool:add_fragment(frame)
+    local kind, message = pool:add_fragment(frame)
     if #pool:messages() == 0 then close(self, frame.slot) end
     return kind, message
   end
-  message = self:note_repeated_end(frame)
-  if message then return kind, message end
   if not frame.accepts_all and (fields.ctl ~= 0 or not frame.source.size) then return nil end
-  self:orphan(fields.ctrl)
+  self:orphan(frame)
   return "other"
 end
 

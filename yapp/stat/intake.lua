@@ -159,12 +159,13 @@ end
 
 -- Report the anomalies of a frame.  Anomalies that lose a message, or a part of one, are events.
 -- anomalies  list of { expert, lost = frame key of the Start of the message that is lost or nil,
---            is_withdrawn = whether nothing is wrong after all, is_open = whether that may change }
+--            is_withdrawn = whether nothing is wrong after all, is_open = whether that may change,
+--            is_copy = whether a recorder holds the frame twice, which loses nothing }
 local function report_anomalies(self, frame, anomalies)
   local state, fields = self.states[frame.source], frame.can_id
   for _, anomaly in ipairs(anomalies) do
     local shown, lost = LOSSES[anomaly.expert], anomaly.lost
-    if shown then
+    if shown and not anomaly.is_copy then
       if shown.what == "orphan" then
         lost, self.has_orphans = orphaned(state, frame.seq, fields.ctrl == END), true
       else
