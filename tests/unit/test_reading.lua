@@ -142,7 +142,8 @@ function T.test_what_is_lost()
   local capture, list = new_capture(), frames_of(MOTOR, 1, payload_of(MOTOR, 1))
   lu.assertEquals(add_all(capture, { list[1], list[2], list[5] }), "last incomplete Motor Data+fragment.incomplete")
   lu.assertEquals(add_all(capture, { list[3] }), "other+fragment.orphan")
-  lu.assertEquals(add_all(capture, { list[1], list[1] }), "fragment+fragment.incomplete")
+  local next_one = frames_of(MOTOR, 1, payload_of(MOTOR, 2))
+  lu.assertEquals(add_all(capture, { list[1], next_one[1] }), "fragment+fragment.incomplete")
   lu.assertEquals(table.concat(capture.events, ", "),
     "incomplete Motor Data @3, incomplete Motor Data @4, incomplete Motor Data @6")
 end
