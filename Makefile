@@ -32,8 +32,9 @@ needs-tshark:
 needs-python:
 	$(call install-missing,python3,python3)
 
+# Debian's package is of the system's Python, whichever comes first in PATH.
 needs-hatchling: needs-python
-	$(call install-missing,python3,python3-hatchling,python3 -c 'import hatchling' 2>/dev/null)
+	$(call install-missing,python3,python3-hatchling,PATH=/usr/bin:$$PATH python3 -c 'import hatchling' 2>/dev/null)
 
 needs-tests: needs-tshark
 	$(call install-missing,lua5.2 lua5.4 luacheck pytest-3 candump zip localedef strace pip3 git,lua5.2 lua5.4 lua-check lua-unit \
@@ -157,11 +158,11 @@ uninstall: needs-python
 
 ## What a release has: the zip for every desktop, the profile's, the samples', the wheel of yapp-tables, their sums
 dist: needs-hatchling
-	@/usr/bin/env python3 tools/dist.py
+	@/usr/bin/python3 tools/dist.py
 
 ## A release from its tag, TAG=v2.1.0, built twice: what the workflow does
 release: needs-hatchling
-	tools/release.sh "$(TAG)"
+	PATH=/usr/bin:$$PATH tools/release.sh "$(TAG)"
 
 # The Python package has its own environment, so that nothing is installed into the system's Python.
 TOOLS_VENV := $(HOME)/.cache/yapp-tools

@@ -237,6 +237,9 @@ local function nothing_found(self, capture)
     local frames = output.count(extended, "extended CAN frame")
     return text:format(frames .. (extended == 1 and " was" or " were"))
   end
+  if self.packets == 0 then
+    return "no YAPP message found: the capture has no packets, or -R removed all of them"
+  end
   local packets = output.count(self.packets, "packet")
   if capture.can > 0 and capture.can == self.packets then
     return ("no YAPP message found in %s: no CAN data frame has a 29-bit id"):format(packets)
