@@ -74,7 +74,7 @@ def buttons(wireshark, folder):
 def transition(wireshark, folder):
     show(wireshark, "taurus.fault.raised || taurus.fault.cleared")
     wireshark.keys("Tab", "ctrl+Home")
-    open_tree(wireshark, "End")
+    open_tree(wireshark, "Down", "Right")  # what is wrong, and its links
     wireshark.picture(folder / "fault_tree.png")
 
 

@@ -497,7 +497,7 @@ const more = data.incidents.filter((each) => each !== first && each.is_serious).
   const printing = (isOn) => () => {
     isPrinting = isOn;
     root.classList.toggle("printing", isOn);
-    if (isOn) figures.forEach(paint); else redraw();
+    if (isOn) figures.forEach((figure) => paint(figure)); else redraw();
   };
   addEventListener("beforeprint", printing(true));
   addEventListener("afterprint", printing(false));
