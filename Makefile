@@ -9,7 +9,7 @@ DEMO := docs/first.pcapng
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
 .PHONY: demo test test-all unit coverage unit-5.2 unit-5.4 unit-5.5 map hostile e2e lint install uninstall dist release soak matrix \
-  fuzz mutate valgrind bench screenshots filters \
+  fuzz mutate mutate-other valgrind bench screenshots filters \
   needs-tshark needs-python needs-hatchling needs-tests needs-bench
 
 # $(call install-missing,commands that must be there,packages that bring them,another condition)
@@ -124,6 +124,10 @@ fuzz: needs-tests
 mutate: needs-tests
 	/usr/bin/env python3 tests/mutate.py --each $(or $(EACH),30) --seed $(or $(SEED),1)
 
+## The same in all other modules: those that call Wireshark's API, extcap/ and tools/src, by the quickest tests that run them
+mutate-other: needs-tests needs-tools
+	/usr/bin/env python3 tests/mutate.py --other --python $(TOOLS)/python --each $(or $(EACH),5) --seed $(or $(SEED),1)
+
 ## Ten captures under valgrind: no error in memory that comes of Lua
 valgrind: needs-tests
 	$(call install-missing,valgrind,valgrind)
@@ -181,7 +185,7 @@ test-tools: needs-tools
 	$(TOOLS)/ruff check --config tools/pyproject.toml tools/src tests/tools
 	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools/src tests/tools
 	$(TOOLS)/mypy --config-file tools/pyproject.toml tools/src
-	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider $(TOOLS_ONLY) tests/tools
+	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider tests/tools
 
 .PHONY: test-tools needs-tools needs-tools-packages needs-gui needs-all gui gui-smoke plant blind
 

@@ -2,9 +2,25 @@
 """Fixtures: captures for the stand-in of tshark, and the command that runs with it."""
 
 import json
+import signal
 
 import pytest
 from running import FAKE, run_tables
+
+
+@pytest.fixture(autouse=True)
+def no_test_hangs():
+    """A test fails that takes ten minutes, whatever it waits for."""
+
+    def end(_number, _frame):
+        raise TimeoutError("this test takes ten minutes")
+
+    if hasattr(signal, "SIGALRM"):
+        signal.signal(signal.SIGALRM, end)
+        signal.alarm(600)
+    yield
+    if hasattr(signal, "SIGALRM"):
+        signal.alarm(0)
 
 
 @pytest.fixture

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """The command as a user runs it, and rows for the stand-in of tshark."""
 
+import concurrent.futures
+import contextlib
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[2] / "tools"))
@@ -24,6 +27,43 @@ def motor_row(number, **cells):
         "timestamp": f"{number // 10}.{number % 10}00000000", "serial": "18446744073709551615", "revision": "3",
     }  # fmt: skip
     return row | cells
+
+
+def wait_for_results(folder, count):
+    """Wait until a run has written so many results; fail after two minutes."""
+    until = time.monotonic() + 120
+    while len(list((folder / "data/message=motor").glob("*"))) < count:
+        assert time.monotonic() < until, f"no {count} results in {folder}"
+        time.sleep(0.01)
+
+
+@contextlib.contextmanager
+def started(command, folder):
+    """Run a process; kill it at the end, whatever happened."""
+    process = subprocess.Popen(list(map(str, command)), cwd=folder, stderr=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@contextlib.contextmanager
+def killing(folder, kill):
+    """Call kill() in a thread while a run is held, see fake_tshark.py; it must have ended when the run has."""
+    hold = folder / "flights/hold"
+    hold.touch()
+
+    def at_work():
+        try:
+            kill()
+        finally:
+            hold.unlink()
+
+    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+        done = pool.submit(at_work)
+        yield
+        done.result(timeout=1)
 
 
 def install_plugin(home):

@@ -6,8 +6,6 @@ import os
 import shutil
 import signal
 import subprocess
-import threading
-import time
 
 import duckdb
 import pandas as pd
@@ -19,7 +17,7 @@ import pytest
 import yapp_tables as yt
 from deltalake import DeltaTable
 from distributed import Client, LocalCluster
-from running import FAKE, motor_row, result, run_tables
+from running import FAKE, killing, motor_row, result, run_tables, wait_for_results
 
 FAULT = {"time": 1700000000.000000001, "frame": 3, "bus": "can0", "source": None, "id": 528, "message": "motor"}
 FAULT |= {"kind": "fault", "field": "fault_flags", "flag": "motor_overcurrent", "event": "raised", "active": None}
@@ -223,13 +221,11 @@ def test_delta_tables_of_several_workers_one_of_which_is_killed(make_capture, tm
         pids = [worker.process.pid for worker in cluster.workers.values()]
 
         def kill():
-            while len(list((tmp_path / "data/message=motor").glob("*.parquet"))) < 3:
-                time.sleep(0.01)
+            wait_for_results(tmp_path, 3)
             os.kill(pids[0], signal.SIGKILL)
 
-        killer = threading.Thread(target=kill, daemon=True)
-        killer.start()
-        convert(tmp_path, "flights/*.pcapng", to="delta", more=["--scheduler", cluster.scheduler_address])
+        with killing(tmp_path, kill):
+            convert(tmp_path, "flights/*.pcapng", to="delta", more=["--scheduler", cluster.scheduler_address])
     for _ in range(2):
         table = DeltaTable(tmp_path / "data/message=motor").to_pyarrow_table()
         rows = (

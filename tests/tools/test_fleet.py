@@ -11,14 +11,13 @@ import struct
 import subprocess
 import sys
 import termios
-import threading
 import time
 
 import pyarrow.parquet as pq
 import pytest
 import yapp_tables as yt
 from distributed import LocalCluster
-from running import FAKE, motor_row, run_tables
+from running import FAKE, killing, motor_row, run_tables, started, wait_for_results
 
 COUNT = 24
 
@@ -57,26 +56,20 @@ def test_a_cluster_of_processes_some_of_which_are_killed(fleet):
         pids = [worker.process.pid for worker in cluster.workers.values()]
 
         def kill():
-            motor = fleet / "data/message=motor"
-            for pid in pids[:2]:
-                before = len(list(motor.glob("*")))
-                while len(list(motor.glob("*"))) < before + 2:
-                    time.sleep(0.01)
+            for count, pid in zip((2, 4), pids, strict=False):
+                wait_for_results(fleet, count)
                 os.kill(pid, signal.SIGKILL)
 
-        killer = threading.Thread(target=kill, daemon=True)
-        killer.start()
-        done = convert(fleet, "--scheduler", cluster.scheduler_address)
+        with killing(fleet, kill):
+            done = convert(fleet, "--scheduler", cluster.scheduler_address)
         assert done.returncode == 0, done.stderr
-        killer.join(1)
-        assert not killer.is_alive()
     assert_complete(fleet)
 
 
 def test_a_killed_run_is_finished_by_the_next(fleet):
     command = [sys.executable, "-m", "yapp_tables", "convert", "flights/*.pcapng", "--to", "parquet", "--out", "data"]
-    with subprocess.Popen([*command, "--tshark", FAKE, "--jobs", "2"], cwd=fleet, stderr=subprocess.DEVNULL) as run:
-        kill_after_results(fleet, run)
+    with started([*command, "--tshark", FAKE, "--jobs", "2"], fleet):
+        wait_for_results(fleet, 3)
     done = convert(fleet)
     assert done.returncode == 0, done.stderr
     assert_complete(fleet, is_clean=False)
@@ -93,30 +86,23 @@ def test_a_scheduler_that_dies_is_a_sentence_and_what_was_done_is_kept(fleet):
         "0",
         "--no-dashboard",
     ]
-    with subprocess.Popen(
-        [*dask, "--scheduler-file", "scheduler.json"], cwd=fleet, stderr=subprocess.DEVNULL
-    ) as scheduler:
-        while not (fleet / "scheduler.json").exists():
+    with started([*dask, "--scheduler-file", "scheduler.json"], fleet) as scheduler:
+        while not (fleet / "scheduler.json").exists():  # conftest.py ends a test that waits for ever
             time.sleep(0.1)
         address = json.loads((fleet / "scheduler.json").read_text())["address"]
         worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard"]
-        with subprocess.Popen(worker, cwd=fleet, stderr=subprocess.DEVNULL) as at_work:
-            killer = threading.Thread(target=kill_after_results, args=(fleet, scheduler), daemon=True)
-            killer.start()
+
+        def kill():
+            wait_for_results(fleet, 3)
+            scheduler.kill()
+
+        with started(worker, fleet), killing(fleet, kill):
             done = convert(fleet, "--scheduler", address)
-            at_work.kill()
-        scheduler.kill()  # else a run that ended too early would wait for it for ever
     assert done.returncode == 2
     assert "the Dask scheduler went away" in done.stderr
     assert "Traceback" not in done.stderr
     assert convert(fleet).returncode == 0
     assert_complete(fleet, is_clean=False)
-
-
-def kill_after_results(folder, process):
-    while len(list((folder / "data").glob("message=motor/*"))) < 3:
-        time.sleep(0.01)
-    process.kill()
 
 
 def test_a_machine_with_another_plugin_fails_its_captures_only(fleet, monkeypatch):
