@@ -716,6 +716,21 @@ function T.test_sources_that_never_came()
   lu.assertEquals(select(2, verdicts("absent=0", records)), 21) -- nobody is named with a message
 end
 
+function T.test_reserved_values_and_numbers()
+  local records = { record(1, 0, { payload = payload(10) }), record(2, 1, { payload = payload(255) }),
+    record(3, 2, { payload = payload(12) }), record(4, 3, { payload = payload(11) }) }
+  lu.assertEquals(verdicts("motor.volts=10..12,motor.volts.numbers=10..12,motor.volts.numbers=..11", records), {
+    "motor.volts=10..12 left false 1 2", "motor.volts.numbers=10..12 left true 0 null",
+    "motor.volts.numbers=..11 left false 1 3", "unknown=0 null true 0 null" })
+  lu.assertEquals(verdicts("motor.volts.reserved=0.25,motor.volts.reserved=0.2", records), {
+    "motor.volts.reserved=0.25 left true 0.25 null", "motor.volts.reserved=0.2 left false 0.25 null",
+    "unknown=0 null true 0 null" })
+  local none = { record(1, 0, { payload = payload(255) }) }
+  lu.assertEquals(select(2, verdicts("motor.volts.numbers=10..12", none)), 21)
+  lu.assertEquals(select(2, verdicts("motor.volts.reserved=1", none)), 0)
+  lu.assertEquals(select(2, verdicts("motor.volts.reserved=1", {})), 21)
+end
+
 function T.test_spread()
   local records = { record(1, 0, { payload = payload(10) }), record(2, 0.1, { source = RIGHT, payload = payload(12) }),
     record(3, 0.2, { payload = payload(11) }), -- 1 apart

@@ -37,6 +37,7 @@ local function new_values(want, spread)
     index = want.field.index or false, -- a derived value has none
     low = want.low or -INFINITE,
     high = want.high or INFINITE,
+    lets_reserved = want.lets_reserved, -- whether a reserved value is not outside
     count = 0, -- of numbers, whose least, sum and largest follow
     min = INFINITE,
     sum = 0.0,
@@ -63,7 +64,7 @@ local function note_value(values, value, frame)
   end
   value = rounded(values.field, value)
   local by = math.max(values.low - value, value - values.high)
-  if value ~= value then by = INFINITE end -- a reserved value is beyond all
+  if value ~= value then by = values.lets_reserved and 0 or INFINITE end -- beyond all, or not
   if by <= 0 then return end
   values.outside = values.outside + 1
   if by > values.by then

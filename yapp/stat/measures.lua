@@ -47,6 +47,24 @@ local function want_range(rule, field)
   return want
 end
 
+local function measure_numbers(group, rule)
+  local values = group.values[rule.want]
+  if values.seen > 0 and values.count == 0 then return nil, nil, "all its values are reserved" end
+  return measure_range(group, rule)
+end
+
+local function want_numbers(rule, field)
+  local want = want_range(rule, field)
+  want.lets_reserved = true
+  return want
+end
+
+local function measure_reserved(group, rule)
+  local values = group.values[rule.want]
+  if values.seen == 0 then return nil, nil, NO_VALUE end
+  return (values.seen - values.count) / values.seen, nil, ("of %d values"):format(values.seen)
+end
+
 local function measure_spread(_, rule, check)
   local spread = check.spreads[rule.want]
   if not spread.worst then return nil, nil, "no two sources of it have a value at one time" end
@@ -102,6 +120,22 @@ M.OF_FIELD = {
     measure = measure_range,
     takes_range = true,
     want = want_range,
+  },
+  {
+    name = "numbers",
+    text = "MESSAGE.FIELD.numbers=A..B",
+    help = "all values but reserved ones lie within",
+    measure = measure_numbers,
+    takes_range = true,
+    want = want_numbers,
+  },
+  {
+    name = "reserved",
+    text = "MESSAGE.FIELD.reserved=X",
+    help = "at most this share of the values is reserved, 0.05 for 5 %",
+    measure = measure_reserved,
+    bound = "high",
+    want = function(_, field) return { field = field } end,
   },
   {
     name = "spread",

@@ -7,7 +7,7 @@ import os
 from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from pathlib import Path
 from statistics import median
@@ -24,18 +24,24 @@ NOISE = Decimal("0.1")  # of the margin, beyond an extreme of 0
 HEAD = """\
 # Learnt by yapp-tables {version} from {flights}, with a margin of {margin} %.
 # A # takes a rule out; edit the numbers as you like. Behind each: the extreme of the good flights, and whose it is.
+# The first rules are those of check alone. Reserved values are in no range; .reserved is their share.
 """
+LEAST_SHARE = Decimal("0.05")  # of values, that may be reserved in any flight
 Extreme = tuple[Decimal, Decimal, str]  # the lowest and the highest of a source in a flight, the flight
 
 
 @dataclass
 class Rule:
-    """A rule. source: the user's name of the one it is about, "" for all; lost: which good flight does not keep it."""
+    """A rule. source: the user's name of the one it is about, "" for all; lost: which good flight does not keep it.
+
+    seen: what the gate saw in each flight.
+    """
 
     source: str
     text: str
-    comment: str
+    comment: str = ""
     lost: str = ""
+    seen: list[tuple[Decimal, str]] = field(default_factory=list)
 
 
 def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[str, list[str]]:
@@ -50,25 +56,28 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
         def ask(*statistics: str) -> list[tuple[list[Record], list[str]]]:
             return list(pool.map(lambda path: config.of(path)[0].ask(path, str(aside), statistics), captures))
 
-        told = ask("summary,json", "compare,json")
-        extremes = _extremes({name: records for name, (records, _) in zip(names, told, strict=True)})
+        told = dict(zip(names, ask("summary,json", "compare,json", "check,json"), strict=True))
+        flights = {name: records for name, (records, _) in told.items()}
+        extremes = _extremes(flights)
         if not extremes:
             raise CaptureError(f"no message was decoded in {', '.join(names)}")
-        rules = [_rule(source, what, found, margin) for (source, what), found in extremes.items()]
-        rules.append(Rule("", "absent=0", "all that yapp.sources names with a message came"))
+        rules = _counted(flights, margin)
+        rules += [_rule(source, what, found, margin) for (source, what), found in extremes.items()]
+        shares = _reserved(extremes, config.of(captures[0])[0].fields()[0])
         share = f"{(margin * 100).normalize():f}"
         head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=share)
-        # The gate itself says which rules these flights keep: a reserved value, for one, lies in no range.
-        Path(aside, "rules").write_text(_text(head, rules), encoding="utf-8")
-        for name, (verdicts, _) in zip(names, ask("check,rules=rules,json"), strict=True):
-            _mark_lost(rules, name, verdicts)
-    said = [f"{name}: {text}" for name, (_, texts) in zip(names, told, strict=True) for text in texts]
+        # The gate itself says which rules these flights keep, and what part of the values is reserved.
+        Path(aside, "rules").write_text(_text(head, [*rules, *shares]), encoding="utf-8")
+        verdicts = {name: rows for name, (rows, _) in zip(names, ask("check,rules=rules,json"), strict=True)}
+        _mark_lost([*rules, *shares], verdicts)
+        rules += [rule for rule in shares if _learn_share(rule, margin)]
+    said = [f"{name}: {text}" for name, (_, texts) in told.items() for text in texts]
     return _text(head, rules), said
 
 
 def _extremes(flights: dict[str, list[Record]]) -> dict[tuple[str, str], list[Extreme]]:
     """Return what was seen, by source and what a rule is about: "motor.rate", "motor.dc_voltage"."""
-    rows = [(name, row) for name, records in flights.items() for row in records if row["message"]]
+    rows = [(name, row) for name, records in flights.items() for row in records if row["message"] and "rule" not in row]
     # A rule without a source is about all of its message: if one has no name, then no one is judged apart.
     nameless = {row["message"] for _, row in rows if "rate" in row and not row["source"]}
     found = defaultdict(list)
@@ -94,7 +103,8 @@ def _rule(source: str, what: str, found: list[Extreme], margin: Decimal) -> Rule
     bottom, lowest = _limit([(low, name) for low, _, name in found], covered * margin, margin, -1)
     if kind in ("gap", "spread"):
         return Rule(source, f"{what}={top}", highest)
-    return Rule(source, f"{what}={bottom}..{top}", f"{lowest}, {highest}")
+    name = what if kind == "rate" else f"{what}.numbers"
+    return Rule(source, f"{name}={bottom}..{top}", f"{lowest}, {highest}")
 
 
 def _limit(ends: list[tuple[Decimal, str]], share: Decimal, margin: Decimal, sign: int) -> tuple[str, str]:
@@ -114,14 +124,56 @@ def _limit(ends: list[tuple[Decimal, str]], share: Decimal, margin: Decimal, sig
     return f"{limit.normalize():f}", f"{extreme:.7g} in {name}"
 
 
-def _mark_lost(rules: list[Rule], name: str, verdicts: list[Record]) -> None:
+def _counted(flights: dict[str, list[Record]], margin: Decimal) -> list[Rule]:
+    """Return the rules of `check` alone: each with 0, or with what good flights have."""
+    seen: dict[str, dict[str, Decimal]] = defaultdict(dict)
+    for name, records in flights.items():
+        for row in records:
+            if "rule" in row:
+                counts = seen[row["rule"].partition("=")[0]]
+                counts[name] = max(counts.get(name, Decimal(0)), Decimal(row["seen"] or 0))
+    rules = []
+    for kind, counts in seen.items():
+        ends = [(count, name) for name, count in counts.items()]
+        limit, most = _limit(ends, max(counts.values()) * margin, margin, 1)
+        whole = Decimal(limit).to_integral_value(ROUND_CEILING)
+        rules.append(Rule("", f"{kind}={whole}", most if whole else ""))
+    return rules
+
+
+def _reserved(extremes: dict[tuple[str, str], list[Extreme]], fields: Record) -> list[Rule]:
+    """Return a rule for each compressed float, that none of its values is reserved."""
+    floats = {
+        f"{message}.{column['name'].removesuffix('_special')}"
+        for message, entry in fields["messages"].items()
+        for column in entry["columns"]
+        if column["name"].endswith("_special")
+    }
+    return [Rule(source, f"{what}.reserved=0") for source, what in extremes if what in floats]
+
+
+def _learn_share(rule: Rule, margin: Decimal) -> bool:
+    """Set the share of values that may be reserved. Returns whether a flight may break the rule."""
+    if not rule.seen:
+        return False
+    limit, rule.comment = _limit(rule.seen, max(share for share, _ in rule.seen) * margin, margin, 1)
+    rule.text = f"{rule.text.partition('=')[0]}={max(Decimal(limit), LEAST_SHARE)}"
+    rule.lost = ""
+    return Decimal(limit) < 1
+
+
+def _mark_lost(rules: list[Rule], flights: dict[str, list[Record]]) -> None:
+    """Note what the gate says of the rules."""
     by_key = {(rule.source, rule.text): rule for rule in rules}
-    for verdict in verdicts:
-        text = verdict["rule"]
-        rule = by_key.get((verdict["source"] or "", text)) or by_key.get(("", text))
-        if rule and verdict["ok"] is not True:
-            seen = " ".join(str(verdict[key]) for key in ("seen", "note") if verdict[key] is not None)
-            rule.lost = f"{name} does not keep it ({seen})"
+    for name, verdicts in flights.items():
+        for verdict in verdicts:
+            text = verdict["rule"]
+            rule = by_key.get((verdict["source"] or "", text)) or by_key.get(("", text))
+            if rule and verdict["seen"] is not None:
+                rule.seen.append((Decimal(verdict["seen"]), name))
+            if rule and verdict["ok"] is not True:
+                seen = " ".join(str(verdict[key]) for key in ("seen", "note") if verdict[key] is not None)
+                rule.lost = f"{name} does not keep it ({seen})"
 
 
 def _text(head: str, rules: list[Rule]) -> str:
@@ -130,7 +182,11 @@ def _text(head: str, rules: list[Rule]) -> str:
         own = [rule for rule in rules if rule.source == source]
         if source:
             lines.append(f"\n{'# ' * all(rule.lost for rule in own)}source={source}\n")
-        lines += [
-            f"# {rule.text}: {rule.lost}\n" if rule.lost else f"{rule.text:<40} # {rule.comment}\n" for rule in own
-        ]
+        lines += [_line(rule) for rule in own]
     return "".join(lines)
+
+
+def _line(rule: Rule) -> str:
+    if rule.lost:
+        return f"# {rule.text}: {rule.lost}\n"
+    return f"{rule.text:<48} # {rule.comment}\n" if rule.comment else f"{rule.text}\n"

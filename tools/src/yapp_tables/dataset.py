@@ -139,18 +139,13 @@ class DataSet:
     def find(self, flight: str) -> Result | None:
         """Return what is known of a flight."""
         record = self._read(flight)
-        if record is None:
-            return None
-        made_by = record.pop("made_by")
-        made_by["options"] = tuple(made_by["options"])
-        lists = {name: tuple(record.get(name, ())) for name in ("files", "lacks", "notes")}
-        return Result(**{**record, **lists, "made_by": MadeBy(**made_by)})
+        return None if record is None else _result(record)
 
     def results(self) -> Iterator[Result]:
-        """Return what is known of all flights."""
-        for path in sorted(self.fs.glob(f"{self.notes}/*.json")):
-            if result := self.find(Path(path).stem):
-                yield result
+        """Return what is known of all flights, all notes asked for at once."""
+        if paths := self.fs.glob(f"{self.notes}/*.json"):
+            notes = self.fs.cat(paths, on_error="omit")
+            yield from (_result(json.loads(notes[path])) for path in sorted(notes))
 
     def has_files(self, result: Result) -> bool:
         """Return whether the files of a result are there."""
@@ -291,6 +286,13 @@ class DataSet:
             with self.lock():
                 if merge.is_file():
                     self._finish_merge(json.loads(merge.read_text(encoding="utf-8")))
+
+
+def _result(record: dict[str, Any]) -> Result:
+    made_by = record.pop("made_by")
+    made_by["options"] = tuple(made_by["options"])
+    lists = {name: tuple(record.get(name, ())) for name in ("files", "lacks", "notes")}
+    return Result(**{**record, **lists, "made_by": MadeBy(**made_by)})
 
 
 def _extended_parquet(paths: dict[str, str], new: Path) -> Iterator[str]:
