@@ -143,7 +143,7 @@ def test_what_stands_in_the_file(learnt):
     """A controller has its own limits, and each says whose the extremes are."""
     text = (learnt / "flight.rules").read_text()
     assert all(f"\nsource={name}\n" in text for name in NAMES.values())
-    assert "absent=0 " in text
+    assert "\nabsent=0\nunknown=0\n" in text
     low, high, lowest, at_low, highest, at_high = re.search(
         r"motor\.dc_voltage\.numbers=(.*)\.\.(.*?) +# (.*) in (good\d\.pcapng), (.*) in (good\d\.pcapng)", text
     ).groups()

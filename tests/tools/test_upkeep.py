@@ -10,7 +10,7 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 import pytest
 import yapp_tables as yt
-from deltalake import DeltaTable
+from deltalake import DeltaTable, write_deltalake
 from running import FAKE, result, run_tables
 from test_dataset import GROWN, convert, flight
 from yapp_tables import upkeep
@@ -152,38 +152,73 @@ def test_what_cannot_be_compacted_or_vacuumed_is_said(data):
     assert (done.returncode, "has no Delta tables" in done.stderr) == (2, True)
 
 
-def make_old(folder):
-    """Give the data set the form that version 3 had: NaN and infinities, seconds, plain strings, fewer columns."""
-    for path in (folder / "data").rglob("*.parquet"):
-        table = pq.ParquetFile(path).read()
-        name = path.parent.name.removeprefix("message=")
-        for at, field in enumerate(table.schema):
-            cells = table[field.name]
-            if pa.types.is_dictionary(field.type):
-                cells = cells.cast(pa.string())
-            if pa.types.is_duration(field.type):
-                cells = pc.divide(cells.cast(pa.int64()).cast(pa.float64()), 1e9)
-            if field.name == "rpm_measured":
-                special = table["rpm_measured_special"].to_pylist()
-                numbers = [
-                    {"nan": float("nan"), "inf": float("inf")}.get(word, cell.as_py())
-                    for word, cell in zip(special, cells, strict=True)
-                ]
-                cells = pa.chunked_array([pa.array(numbers, pa.float64())])
-            if name == "flights" and field.name == "faults":
-                cells = pa.chunked_array([pa.array([12], pa.int64())])
-            if name == "flights" and field.name == "start":
-                cells = pa.chunked_array([pa.array([0], field.type)])
-            if name == "flights" and field.name == "length":
-                cells = pa.chunked_array([pa.array([4670.09])])
-            table = table.set_column(at, field.with_type(cells.type), cells)
-        gone = {"controller", "is_absolute", "clock_resets", "other", "command_lag", "rpm_error"}
-        table = table.drop_columns([each for each in table.schema.names if each in gone])
-        pq.write_table(table.replace_schema_metadata({b"title": b"Motor Data"}), path)
-    for note in (folder / "data.yapp-tables/parquet").glob("*.json"):
+def old_form(table, name):
+    """Return a table as version 3 had it: NaN and infinities, seconds, plain strings, fewer columns."""
+    for at, field in enumerate(table.schema):
+        cells = table[field.name]
+        if pa.types.is_dictionary(field.type):
+            cells = cells.cast(pa.string())
+        if pa.types.is_duration(field.type) or field.name == "timestamp":
+            cells = pc.divide(cells.cast(pa.int64()).cast(pa.float64()), 1e9)
+        if field.name == "rpm_measured":
+            special = table["rpm_measured_special"].to_pylist()
+            numbers = [
+                {"nan": float("nan"), "inf": float("inf")}.get(word, cell.as_py())
+                for word, cell in zip(special, cells, strict=True)
+            ]
+            cells = pa.chunked_array([pa.array(numbers, pa.float64())])
+        old = {"faults": 12, "start": 0, "length": 4670.09}.get(field.name)
+        if name == "flights" and old is not None:
+            cells = pa.chunked_array([pa.array([old] * len(table)).cast(field.type)])
+        table = table.set_column(at, field.with_type(cells.type), cells)
+    gone = {"controller", "is_absolute", "clock_resets", "other", "command_lag", "rpm_error"}
+    table = table.drop_columns([each for each in table.schema.names if each in gone])
+    return table.replace_schema_metadata({b"title": b"Motor Data"})
+
+
+def make_old(folder, to="parquet"):
+    """Give the data set the form of version 3."""
+    for path in (folder / "data").rglob("*.parquet") if to == "parquet" else ():
+        pq.write_table(old_form(pq.ParquetFile(path).read(), path.parent.name.removeprefix("message=")), path)
+    for path in (folder / "data").iterdir() if to == "delta" else ():
+        table = old_form(DeltaTable(path).to_pyarrow_table(), path.name.removeprefix("message="))
+        write_deltalake(path, table, mode="overwrite", schema_mode="overwrite")
+    for note in (folder / f"data.yapp-tables/{to}").glob("*.json"):
         record = json.loads(note.read_text())
         record["made_by"]["layout"] = 3
         note.write_text(json.dumps(record))
+
+
+def test_delta_of_an_older_version_is_upgraded_without_its_captures(make_capture, tmp_path):
+    special = {"rpm_measured": "", "rpm_measured_special": "inf"}
+    flight(make_capture, "a.pcapng"), flight(make_capture, "b.pcapng", 30, **special)
+    convert(tmp_path, "?.pcapng", to="delta")
+
+    def table(name):
+        return DeltaTable(tmp_path / f"data/message={name}").to_pyarrow_table()
+
+    before = {name: table(name) for name in TABLES}
+    make_old(tmp_path, "delta")
+    assert table("motor").schema.field("timestamp").type == pa.float64()
+    assert float("inf") in table("motor")["rpm_measured"].to_pylist()
+    (tmp_path / "a.pcapng").unlink()
+    for _ in range(2):  # the second time as if the first one had been killed before it noted what it did
+        done = run_tables(tmp_path, "upgrade", "--to", "delta", "--out", "data", "--tshark", FAKE)
+        assert done.stderr == "yapp-tables: 2 flights upgraded in data\n"
+        for name in TABLES:
+            after = table(name)
+            types = {field.name: field.type for field in before[name].schema}
+            assert {field.name: field.type for field in after.schema} == types, name
+            names = [each for each in before[name].schema.names if each != "other"]
+            assert in_order(after.select(names)) == in_order(before[name].select(names)), name
+        for note in (tmp_path / "data.yapp-tables/delta").glob("*.json"):
+            text = note.read_text()
+            assert '"layout": 4' in text
+            note.write_text(text.replace('"layout": 4', '"layout": 3'))
+    # A new flight joins the table.
+    flight(make_capture, "c.pcapng", 60)
+    convert(tmp_path, "c.pcapng", to="delta")
+    assert len(table("motor")) == len(before["motor"]) + 3
 
 
 def test_an_older_version_is_upgraded_without_its_captures(make_capture, tmp_path):

@@ -27,6 +27,7 @@ HEAD = """\
 # The first rules are those of check alone. Reserved values are in no range; .reserved is their share.
 """
 LEAST_SHARE = Decimal("0.05")  # of values, that may be reserved in any flight
+OF_CHECK = "damaged or lost messages may hide faults"  # what check says, and the rules count
 Extreme = tuple[Decimal, Decimal, str]  # the lowest and the highest of a source in a flight, the flight
 
 
@@ -71,7 +72,7 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
         verdicts = {name: rows for name, (rows, _) in zip(names, ask("check,rules=rules,json"), strict=True)}
         _mark_lost([*rules, *shares], verdicts)
         rules += [rule for rule in shares if _learn_share(rule, margin)]
-    said = [f"{name}: {text}" for name, (_, texts) in told.items() for text in texts]
+    said = [f"{name}: {text}" for name, (_, texts) in told.items() for text in texts if not text.startswith(OF_CHECK)]
     return _text(head, rules), said
 
 

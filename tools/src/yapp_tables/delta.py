@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import pyarrow as pa
+import pyarrow.dataset as ds
 from deltalake import DeltaTable, write_deltalake
 from deltalake.exceptions import DeltaError, TableNotFoundError
 
@@ -53,6 +54,24 @@ def delete(url: str, flight: str, messages: Iterable[str]) -> None:
         _again(lambda message=message: DeltaTable(_url(url, message)).delete(_is(flight)))  # type: ignore[misc]
 
 
+def rewrite(url: str, message: str, flights: Sequence[str], change: Callable[[str, pa.Table], pa.Table]) -> None:
+    """Put a changed table in the place of one, flight by flight, in one transaction.
+
+    change: function(flight_id, rows) -> rows, called without rows, too, for the columns.
+    """
+    old = DeltaTable(_url(url, message)).to_pyarrow_dataset()
+    schema = _schema(change("", old.schema.empty_table()).schema)
+
+    def rows() -> Iterator[pa.RecordBatch]:
+        for flight in flights:
+            table = old.to_table(filter=ds.field("flight_id") == flight)
+            if len(table):
+                yield from _rows(change(flight, table).to_batches(), schema)
+
+    reader = pa.RecordBatchReader.from_batches(schema, rows())
+    write_deltalake(_url(url, message), reader, mode="overwrite", schema_mode="overwrite")
+
+
 def compact(url: str, messages: Iterable[str]) -> None:
     """Make few large files of many small ones; readers see no difference."""
     for message in messages:
@@ -94,15 +113,15 @@ def _is(flight: str) -> str:
 
 def _schema(schema: pa.Schema) -> pa.Schema:
     fields = [field.with_type(TYPES.get(field.type, field.type)) for field in schema]
-    if "time" in schema.names:
+    if "time" in schema.names and "time_ns" not in schema.names:
         fields.append(pa.field("time_ns", pa.int64()))
     return pa.schema(fields)
 
 
-def _rows(table: Table, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
+def _rows(table: Iterable[pa.RecordBatch], schema: pa.Schema) -> Iterator[pa.RecordBatch]:
     for batch in table:
         columns = dict(zip(batch.schema.names, batch.columns, strict=True))
-        if "time" in columns:
+        if "time" in columns and "time_ns" not in columns:
             columns["time_ns"] = columns["time"].cast(pa.int64())
         cast = [columns[field.name].cast(field.type, safe=False) for field in schema]
         yield pa.RecordBatch.from_arrays(cast, schema=schema)

@@ -107,45 +107,82 @@ def _delta_files(dataset: DataSet, names: Iterable[str]) -> int:
 def upgrade(out: str, to: str, tshark: Tshark) -> list[Result]:
     """Convert the flights of an older version of the data set, without their captures. Returns them.
 
-    Raises SetupError for another kind than Parquet.
+    Raises SetupError for another kind than Parquet and Delta.
     """
-    if to != "parquet":
-        raise SetupError(f"{out}: upgrade is for Parquet; convert the captures again for {to}, into another folder")
+    if to not in ("parquet", "delta"):
+        raise SetupError(
+            f"{out}: upgrade is for Parquet and Delta; convert the captures again for {to}, into another folder"
+        )
     dataset = DataSet(out, to)
-    old = [result for result in dataset.results() if result.files and result.made_by.layout < SCHEMA]
-    fields = tshark.fields()[0] if old else {"messages": {}}
-    known = messages(fields)
+    old = [result for result in dataset.results() if result.messages and result.made_by.layout < SCHEMA]
+    if not old:
+        return []
+    fields = tshark.fields()[0]
+    known, catalogue = messages(fields), digests(fields)
+    if to == "delta":
+        _upgrade_delta(dataset, known)
     for result in old:
-        dataset.note(_upgraded(dataset, result, known, digests(fields)))
+        if to == "parquet":
+            _upgrade_parquet(dataset, result, known)
+        same = {name: catalogue.get(name, digest) for name, digest in result.made_by.catalogue.items()}
+        dataset.note(replace(result, made_by=replace(result.made_by, layout=SCHEMA, catalogue=same)))
     return old
 
 
-def _upgraded(dataset: DataSet, result: Result, known: dict[str, Message], catalogue: dict[str, str]) -> Result:
+def _upgrade_parquet(dataset: DataSet, result: Result, known: dict[str, Message]) -> None:
     """Write the files of a flight anew, in their place."""
-    tables = {}
-    clocks = []
-    for file in result.files:
-        name = file.partition("/")[0].removeprefix("message=")
-        rows = ds.dataset(dataset.local(file), partitioning=None).to_table()
-        tables[file] = _new_table(rows, name, known.get(name))
-        if name not in TABLES and len(rows):
-            clocks.append(Stretches())
-            clocks[-1].add(rows["time"].combine_chunks(), rows["frame"].combine_chunks())
-    events = next((table for file, table in tables.items() if file.startswith("message=events/")), None)
-    clock = clock_of(clocks)
-    for file, rows in tables.items():
-        if file.startswith("message=flights/"):
-            start = clock.start if clock.start and clock.start >= YEAR_2000 else None
-            new = {"start": start, "length": clock.length / 1e9, "clock_resets": clock.resets}
-            new |= {"is_absolute": start is not None, "faults": incidents(_named(events)) if events else 0}
-            for name, value in new.items():
-                at = rows.schema.get_field_index(name)
-                rows = rows.set_column(at, rows.schema.field(at), pa.array([value], FLIGHTS[name].type))
+    about = _About()
+    files = {file.partition("/")[0].removeprefix("message="): file for file in result.files}
+    for name in sorted(files, key=_flights_last):
+        rows = ds.dataset(dataset.local(files[name]), partitioning=None).to_table()
         with dataset.aside() as aside:
-            pq.write_table(rows, aside / "new", compression="zstd")
-            dataset.move(aside / "new", f"{dataset.path}/{file}")
-    same = {name: catalogue.get(name, digest) for name, digest in result.made_by.catalogue.items()}
-    return replace(result, made_by=replace(result.made_by, layout=SCHEMA, catalogue=same))
+            pq.write_table(about.renew(rows, name, known.get(name)), aside / "new", compression="zstd")
+            dataset.move(aside / "new", f"{dataset.path}/{files[name]}")
+
+
+def _upgrade_delta(dataset: DataSet, known: dict[str, Message]) -> None:
+    """Write each table anew, flight by flight in one transaction: a run that was killed is done again."""
+    delta: Any = need(f"{__package__}.delta", "delta")
+    flights: dict[str, _About] = defaultdict(_About)
+    for name in sorted({name for result in dataset.results() for name in result.messages}, key=_flights_last):
+
+        def renewed(flight: str, rows: pa.Table, name: str = name) -> pa.Table:
+            return flights[flight].renew(rows, name, known.get(name))
+
+        delta.rewrite(dataset.url, name, sorted(one.flight_id for one in dataset.results()), renewed)
+
+
+def _flights_last(name: str) -> tuple[bool, str]:
+    return name == "flights", name
+
+
+class _About:
+    """What the other tables of a flight say for its row in `flights`."""
+
+    def __init__(self) -> None:
+        self.clocks: list[Stretches] = []
+        self.faults = 0
+
+    def renew(self, rows: pa.Table, name: str, message: Message | None) -> pa.Table:
+        """Return the rows of a table in this version; `flights` comes last."""
+        rows = _new_table(rows, name, message)
+        if name not in TABLES and len(rows):
+            self.clocks.append(Stretches())
+            in_order = rows.select(["time", "frame"]).sort_by("frame")
+            self.clocks[-1].add(*(in_order[each].combine_chunks() for each in ("time", "frame")))
+        if name == "events":
+            self.faults = incidents(_named(rows))
+        return self._flight(rows) if name == "flights" and len(rows) else rows
+
+    def _flight(self, rows: pa.Table) -> pa.Table:
+        clock = clock_of(self.clocks)
+        start = clock.start if clock.start and clock.start >= YEAR_2000 else None
+        new = {"start": start, "length": clock.length / 1e9, "clock_resets": clock.resets}
+        new |= {"is_absolute": start is not None, "faults": self.faults}
+        for name, value in new.items():
+            at = rows.schema.get_field_index(name)
+            rows = rows.set_column(at, rows.schema.field(at), pa.array([value], FLIGHTS[name].type))
+        return rows
 
 
 def _named(events: pa.Table) -> pa.Table:
