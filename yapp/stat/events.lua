@@ -8,10 +8,7 @@ local output = require "yapp.stat.output"
 
 local M = {}
 
--- A line of JSON has the keys of its kind alone, see stat.kinds.
-local EVENTS = output.columns {
-  { "kind", type = "string", where = "json",
-    help = "what happened: `fault`, `reboot`, `silence` and others, see statistics.md" },
+local WHEN_AND_WHO = {
   { "time", where = "json text" },
   { "rel", where = "text window" },
   { "frame", where = "json text" },
@@ -19,6 +16,11 @@ local EVENTS = output.columns {
   { "bus", where = "json text" },
   { "id", where = "json text" },
   { "source", where = "json text" },
+}
+local KIND = { "kind", type = "string", where = "json",
+  help = "what happened: `fault`, `reboot`, `silence` and others, see statistics.md" }
+-- A line of JSON has the keys of its kind alone, see stat.kinds.
+local EVENTS = output.columns(joined({ KIND }, WHEN_AND_WHO, {
   { "message", where = "json text window" },
   { "kind", where = "text", title = "event" },
   { "details", where = "text window" },
@@ -34,22 +36,15 @@ local EVENTS = output.columns {
   { "size", type = "integer", where = "", help = "of `unknown`: bytes of each message" },
   { "count", type = "integer", where = "", help = "how many messages or packets; null for one" },
   { "like", type = "string", where = "", help = "of `unknown`: the message that has this size" },
-}
-local FAULTS = output.columns {
-  { "time", where = "json text" },
-  { "rel", where = "text window" },
-  { "frame", where = "json text" },
-  { "who", where = "window" },
-  { "bus", where = "json text" },
-  { "id", where = "json text" },
-  { "source", where = "json text" },
+}))
+local FAULTS = output.columns(joined(WHEN_AND_WHO, {
   { "message", where = "json text" },
   { "field", where = "json text" },
   { "flag", where = "json text window" },
   { "event", where = "json text window" },
   { "active", where = "json text window" },
   { "help", type = "string", where = "json text", help = "what the catalogue says of the flag" },
-}
+}))
 --- The columns of both, see output.columns.
 M.COLUMNS = { events = EVENTS, faults = FAULTS }
 
