@@ -4,6 +4,7 @@
 -- says how to use the plugin.
 
 local VERSION = "2.3.0"
+local EXIT_UNDECIDED = 21 -- as in stat.output, which may be what does not load
 local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 
 -- If there are two copies, in the plugin folder and by -X, or by -X twice, only the first one
@@ -29,21 +30,16 @@ set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
 -- source made from numbers does not compile.
 os.setlocale("C", "numeric")
 
--- Collect garbage earlier and faster than Lua does by default: a long capture takes less memory and
--- no more time.  (COMPAT 5.5: these options have other names there, hence pcall.)
-pcall(collectgarbage, "setpause", 150)
-pcall(collectgarbage, "setstepmul", 1000)
-
 -- Find modules beside this file: in package.path a folder cannot have ";" or "?" in its name.
 table.insert(rawget(package, "searchers"), 2, function(name)
   if not name:find("^yapp%.") then return nil end
-  local chunk, why = loadfile(here .. name:gsub("%.", "/") .. ".lua")
-  return chunk or "\n\t" .. why
+  local path = here .. name:gsub("%.", "/") .. ".lua"
+  local ok, chunk, why = pcall(loadfile, path) -- Wireshark's raises what is wrong, without the path
+  return ok and chunk or error(why or path .. ": " .. chunk, 0)
 end)
 
 local binary = require "yapp.message.binary"
 local bus_finder = require "yapp.host.buses"
-local can_dissector = require "yapp.host.can"
 local can_id = require "yapp.wire.can_id"
 local catalogue_files = require "yapp.message.catalogue_files"
 local compiler = require "yapp.message.catalogue"
@@ -51,21 +47,26 @@ local field_kinds = require "yapp.message.field_kinds"
 local file_readers = require "yapp.file.readers"
 local frame = require "yapp.wire.frame"
 local joined = require "yapp.base.joined"
+local later = require "yapp.base.later"
 local message_types = require "yapp.message.types"
-local packet_menu = require "yapp.show.packet_menu"
 local ports = require "yapp.host.ports"
 local preferences = require "yapp.host.preferences"
-local reading_of = require "yapp.reading.reading"
-local serial_dissector = require "yapp.host.serial"
 local show_fields = require "yapp.show.fields"
-local show_frame = require "yapp.show.frame"
-local show_packet = require "yapp.show.packet"
 local socketcan = require "yapp.host.socketcan"
 local source_names = require "yapp.message.sources"
-local stat_intake = require "yapp.stat.intake"
-local stat_taps = require "yapp.stat.taps"
-local usb = require "yapp.host.usb"
-local show_tree = require "yapp.show.tree"
+local stat_names = require "yapp.stat.names"
+
+-- Captures without YAPP need none of these.
+local can_dissector = later "yapp.host.can"
+local packet_menu = later "yapp.show.packet_menu"
+local reading_of = later "yapp.reading.reading"
+local serial_dissector = later "yapp.host.serial"
+local show_frame = later "yapp.show.frame"
+local show_packet = later "yapp.show.packet"
+local show_tree = later "yapp.show.tree"
+local stat_intake = later "yapp.stat.intake"
+local stat_taps = later "yapp.stat.taps"
+local usb = later "yapp.host.usb"
 
 -- The user's own messages follow the plugin's.  They come from yapp_messages.lua in Wireshark's
 -- personal configuration folder, and from the files that a preference and the environment name.
@@ -100,15 +101,11 @@ local server = Proto("yapp_port", "YAPP looks for YAPP on a server's port")
 preferences.define(yapp, catalogue, field_kinds, frame.MAX_ID)
 
 local buses = bus_finder.watch()
-local intake = stat_intake.new(catalogue)
 local types = message_types.new(catalogue)
-local reading = reading_of.new(types, buses)
-local builder = show_tree.new {
-  yapp = yapp,
-  taurus = taurus,
-  catalogue = catalogue,
-  reading = reading,
-}
+local default_names = {} -- titles by ID
+for id, message in pairs(catalogue.by_id) do default_names[id] = message.title end
+local yapp_fields = show_fields.of_yapp(yapp, default_names, catalogue.messages)
+local taurus_fields = show_fields.of_taurus(taurus, catalogue.messages)
 
 -- SocketCAN's table of ids calls YAPP for the ids registered in it alone, so other frames cost
 -- nothing.
@@ -144,10 +141,37 @@ local function register_start(id, seq)
   end
 end
 
-local frames =
-  can_dissector.new(reading, show_frame.new(builder), builder, buses, register_start)
-local streams =
-  serial_dissector.new(reading, show_packet.new(builder), builder, buses, tcp_header)
+-- What statistics and the history need of the preferences; read_preferences fills it.
+local settings = { version = VERSION, catalogue = catalogue }
+
+-- What reads and shows YAPP; nil until something needs it, see make_reading.
+local reading, builder, frames, streams
+local intake, stat -- the same of statistics, see make_statistics
+
+local function reset_reading()
+  reading:reset { late = settings.late, catalogue = catalogue, buses = buses }
+  builder:reset()
+  frames:reset()
+  streams:reset()
+end
+
+-- Make what reads and shows YAPP: a frame, a packet or a statistic needs it.
+local function make_reading()
+  if streams then return end
+  reading = reading_of.new(types, buses)
+  builder = show_tree.new {
+    yapp = yapp,
+    taurus = taurus,
+    catalogue = catalogue,
+    reading = reading,
+    fields = yapp_fields,
+    taurus_fields = taurus_fields,
+    names = default_names,
+  }
+  frames = can_dissector.new(reading, show_frame.new(builder), builder, buses, register_start)
+  streams = serial_dissector.new(reading, show_packet.new(builder), builder, buses, tcp_header)
+  reset_reading()
+end
 
 -- Return the options of tshark that may decode what was not found, and those of them that certainly
 -- decode YAPP: two lists.
@@ -163,9 +187,6 @@ local function notes()
   return joined(buses.found.may_have_frames and {} or streams:notes(), usb.notes())
 end
 
--- What statistics and the history need of the preferences; read_preferences fills it.
-local settings = { version = VERSION, catalogue = catalogue }
-
 -- Dissectors --------------------------------------------------------------------------------------
 
 -- A call that began and did not end failed: with a Lua error, which Wireshark shows in the packet
@@ -175,6 +196,7 @@ local begun, ended = 0, 0
 local function counted(call)
   return function(...)
     begun = begun + 1
+    if not streams then make_reading() end
     local result = call(...)
     ended = ended + 1
     return result
@@ -219,6 +241,7 @@ end
 -- Called from the table of ids, where match_uint is the CAN id.
 function yapp.dissector(tvb, pinfo, root) -- counted, without the call that this costs
   begun = begun + 1
+  if not streams then make_reading() end
   local length = frames:dissect(tvb, pinfo, root, pinfo.match_uint, accepts_all)
   ended = ended + 1
   return length
@@ -278,27 +301,39 @@ local function controller_time(bytes)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 
-local stat = stat_taps.new {
-  settings = settings,
-  intake = intake,
-  builder = builder,
-  buses = buses,
-  reading = reading,
-  find_options = find_options,
-  notes = notes,
-  frames = frames,
-  deferral = frames.deferral,
-  counted = counted,
-  failures = function() return begun - ended end,
-  watch = function()
-    watch_unclaimed()
-    if not gui_enabled() then search_streams() end
-  end,
-  -- A wrapper that is there when Wireshark reloads its Lua plugins takes SocketCAN away with it.
-  unwatch = function()
-    if not accepts_all then socketcan.unwrap() end
-  end,
-}
+local function make_statistics()
+  if stat then return end
+  make_reading()
+  intake = stat_intake.new(catalogue)
+  stat = stat_taps.new {
+    settings = settings,
+    intake = intake,
+    builder = builder,
+    buses = buses,
+    reading = reading,
+    find_options = find_options,
+    notes = notes,
+    frames = frames,
+    deferral = frames.deferral,
+    counted = counted,
+    failures = function() return begun - ended end,
+    watch = function()
+      watch_unclaimed()
+      if not gui_enabled() then search_streams() end
+    end,
+    -- A wrapper that is there when Wireshark reloads its Lua plugins takes SocketCAN away with it.
+    unwatch = function()
+      if not accepts_all then socketcan.unwrap() end
+    end,
+  }
+end
+
+-- Begin the statistic of an argument of -z.  No module may be missing then, needed or not.
+local function begin_statistic(text)
+  if not later.load_all() then os.exit(EXIT_UNDECIDED) end
+  make_statistics()
+  stat:begin(text)
+end
 
 -- Preferences and files ---------------------------------------------------------------------------
 
@@ -341,7 +376,6 @@ yapp.prefs_changed = read_preferences
 
 function yapp.init()
   begun, ended = 1, 0
-  stat:reset()
   read_preferences()
   buses:init()
   socketcan.init()
@@ -349,13 +383,16 @@ function yapp.init()
   -- browser pays for that; Wireshark's windows and sharkd, whose captures may be long, do not.
   if yapp_reads_headers then socketcan.wrap(header) end
   types:reset(buses:are_several())
-  reading:reset { late = settings.late, catalogue = catalogue, buses = buses }
-  intake:reset()
-  builder:reset()
-  frames:reset()
-  streams:reset()
+  if stat then
+    stat:reset()
+    intake:reset()
+  end
+  if streams then reset_reading() end
   local found = buses.found
-  if found.head then streams:scan(found.head) end
+  if found.head then
+    make_reading()
+    streams:scan(found.head)
+  end
   if yapp.prefs.search_all or found.may_have_frames then search_streams() end
   ended = 1
 end
@@ -364,8 +401,13 @@ end
 
 -- Register the Starts with Seq No 0 of all IDs: so begin unknown messages that are not numbered.
 for id = 0, frame.MAX_ID do by_can_id:add(id * 0x40000 + START * 0x4000, yapp) end
-stat:register()
-if gui_enabled() then packet_menu.register(yapp.prefs, catalogue) end
+for _, name in ipairs(stat_names) do register_stat_cmd_arg("yapp," .. name, begin_statistic) end
+register_stat_cmd_arg("yapp", begin_statistic) -- the longest name that fits is called
+if gui_enabled() then
+  make_statistics()
+  stat:register_menus()
+  packet_menu.register(yapp.prefs, catalogue)
+end
 for name, proto in pairs {
   ["can.subdissector"] = all,
   ["tcp.port"] = serial,
@@ -376,8 +418,17 @@ for name, proto in pairs {
   DissectorTable.get(name):add_for_decode_as(proto)
 end
 file_readers.register {
-  new_framer = function() return reading:new_framer(frame.LARGEST) end,
+  new_framer = function()
+    make_reading()
+    return reading:new_framer(frame.LARGEST)
+  end,
   time_of = controller_time,
 }
+
+-- Collect garbage earlier and faster than Lua does by default: a long capture takes less memory and
+-- no more time.  The start is faster without.  (COMPAT 5.5: these options have other names there,
+-- hence pcall.)
+pcall(collectgarbage, "setpause", 150)
+pcall(collectgarbage, "setstepmul", 1000)
 
 package.loaded["yapp.plugin"] = { version = VERSION, path = here .. "yapp.lua" }

@@ -4,6 +4,7 @@ import os
 import pathlib
 import re
 import shutil
+import struct
 import uuid
 
 import levels
@@ -182,3 +183,40 @@ def test_unreadable_catalogue(home):
     (plugin / "taurus_fields.lua").chmod(0)
     done = tshark.run(*script(plugin), "-r", CAPTURE, plugin=False, env={"HOME": str(home)})
     assert "taurus_fields.lua" in done.stderr and "Permission denied" in done.stderr and "YAPP" in done.stdout
+
+
+@levels.each_once
+@pytest.mark.parametrize("module", ["can/interleaved", "stat/check", "serial/usb", "file/asc", "show/taurus"])
+@pytest.mark.parametrize("is_installed", [True, False])
+@pytest.mark.parametrize("is_missing", [True, False])
+def test_a_module_that_does_not_load(home, module, is_installed, is_missing):
+    """Modules load when they are first used: a capture without YAPP needs none of these.  Every statistic says which one
+    does not load, needed or not, and ends with 21; a packet list says so if it needs it."""
+    clone = tshark.copy_plugin(home / "clone", tshark.ROOT)
+    path = clone / f"yapp/{module}.lua"
+    if is_missing:
+        path.unlink()
+    else:
+        path.write_text("local x = = 1\n")
+    folder = tshark.install_plugin(home / "installed", clone) if is_installed else clone
+    for path in [home, *home.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    others = home / "others.pcap"  # a frame with an id of eleven bits
+    others.write_bytes(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 227) + struct.pack("<IIII", 1, 0, 16, 16) +
+                       struct.pack(">II", 0x123, 8 << 24) + bytes(8))
+    others.chmod(0o644)
+
+    def run(*arguments):
+        done = tshark.run(*script(folder), *arguments, plugin=False, env={"HOME": str(home)}, check=False, lua_errors=True)
+        return done.returncode, [line for line in done.stderr.splitlines() if not line.startswith("Running as user")]
+
+    for statistic in ["summary", "check", "csv,-,motor"]:
+        code, lines = run("-q", "-r", CAPTURE, "-z", f"yapp,{statistic}")
+        assert code == 21 and any(module in line and "cannot load" in line for line in lines), (code, lines)
+    code, lines = run("-r", others)
+    assert (code, lines) == (0, [])
+    code, lines = run("-r", CAPTURE)
+    assert code == 0 and (len([line for line in lines if module in line]) == 1) == (module in USED), lines
+
+
+USED = ["can/interleaved", "serial/usb", "show/taurus"]  # by a packet list of YAPP

@@ -1386,6 +1386,13 @@ function T.test_options_that_look_like_their_help()
   lu.assertEquals(options.problems, { "rules=FILE: FILE: No such file or directory" })
 end
 
+-- The start of tshark registers these names before it loads the rows.
+function T.test_the_names_of_the_statistics()
+  local names = {}
+  for i, row in ipairs(options_of.LIST) do names[i] = row.name end
+  lu.assertEquals(require("yapp.stat.names"), names)
+end
+
 function T.test_wrong_options_are_named()
   local names = {}
   for i, row in ipairs(options_of.LIST) do names[i] = "yapp," .. row.name end

@@ -29,14 +29,15 @@ local NONE = {}
 local Taurus = {}
 Taurus.__index = Taurus
 
---- Make the fields and expert items of the messages and hand them to the protocol.
+--- Make the view of values.
 -- taurus    Proto
 -- messages  of the catalogue
-function M.new(taurus, messages)
+-- fields    of show.fields
+function M.new(taurus, messages, fields)
   return setmetatable({
     taurus = taurus,
     messages = messages,
-    fields = show_fields.of_taurus(taurus, messages),
+    fields = fields,
   }, Taurus)
 end
 

@@ -33,22 +33,20 @@ Tree.MARKS = {
   truncated = "  [TRUNCATED]",
 }
 
---- Make fields and expert items and hand them to the two protocols.
--- options  { yapp =, taurus = Proto, catalogue = compiled, reading = a reading.reading }
+--- Make the view of messages.
+-- options  { yapp =, taurus = Proto, catalogue = compiled, reading = a reading.reading;
+--          fields, taurus_fields = of the two, see show.fields; names = { [id] = title } }
 function M.new(options)
-  local self = setmetatable({
+  return setmetatable({
     yapp = options.yapp,
     taurus = options.taurus,
     reading = options.reading,
-    messages = messages_of.new(options.taurus, options.catalogue.messages),
-    fields = nil,
-    default_names = {}, -- titles by ID
+    messages = messages_of.new(options.taurus, options.catalogue.messages, options.taurus_fields),
+    fields = options.fields,
+    default_names = options.names, -- by ID
     wanted = nil, -- of Tree:wants, in the first pass of tshark
     is_only_pass = false, -- whether it is known that there is one pass
   }, Tree)
-  for id, message in pairs(options.catalogue.by_id) do self.default_names[id] = message.title end
-  self.fields = show_fields.of_yapp(self.yapp, self.default_names, options.catalogue.messages)
-  return self
 end
 
 --- Forget what was wanted of the file before.

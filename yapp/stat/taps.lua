@@ -44,6 +44,7 @@ Stat.__index = Stat
 --   counted    function(f) -> f, whose calls are counted
 --   failures   function() -> number of such calls that failed since the capture was opened }
 function M.new(parts)
+  parts.show = nil -- in Wireshark: function(text), which opens the window of an argument of -z
   parts.total = 0 -- in Wireshark: number of packets in the capture, see count_packets
   return setmetatable(parts, Stat)
 end
@@ -294,26 +295,22 @@ function Stat:reset()
   self.total = 0
 end
 
---- Register -z yapp,... and, in Wireshark, the menus.
-function Stat:register()
-  local show, note_packets
-  if gui_enabled() then
-    show, note_packets = menu.register(self)
-    count_packets(self, note_packets)
-  end
+--- Register the menus of Wireshark.
+function Stat:register_menus()
+  local note_packets
+  self.show, note_packets = menu.register(self)
+  count_packets(self, note_packets)
+end
+
+--- Begin the statistic of an argument of -z.
+function Stat:begin(text)
+  if self.show then return self.show(text) end
   -- Wireshark swallows an error here, so all that can fail ends with a message and a code.
-  local function run(text)
-    if show then return show(text) end
-    local ok, problem = pcall(read_argument, self, text)
-    if not ok then
-      say(tostring(problem))
-      os.exit(output.EXIT_UNDECIDED)
-    end
+  local ok, problem = pcall(read_argument, self, text)
+  if not ok then
+    say(tostring(problem))
+    os.exit(output.EXIT_UNDECIDED)
   end
-  for _, row in ipairs(options_of.LIST) do
-    register_stat_cmd_arg("yapp," .. row.name, run)
-  end
-  register_stat_cmd_arg("yapp", run) -- the longest name that fits is called: else this one
 end
 
 return M
