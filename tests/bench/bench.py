@@ -101,14 +101,15 @@ def measure_work(work, broken, runs, run=measure):
 # What is there ---------------------------------------------------------------------------------------------------
 
 def python_with_can():
-    """A Python that has python-can: of an environment of its own, else the system's; and what it is."""
+    """A Python that has python-can and yapp-tables: of an environment of its own, else the system's; and what it is."""
     ours = CACHE / "venv"
-    packages = "import can, platform; print('python-can', can.__version__, 'on Python', platform.python_version())"
+    packages = ("import can, deltalake, platform, yapp_tables; print('python-can', can.__version__, 'yapp-tables', "
+                "yapp_tables.__version__, 'on Python', platform.python_version())")
     with contextlib.suppress(OSError, subprocess.SubprocessError):
         if not (ours / "bin/python").exists():
             subprocess.run([sys.executable, "-m", "venv", ours], check=True, capture_output=True)
         if subprocess.run([ours / "bin/python", "-c", packages], capture_output=True, check=False).returncode:
-            subprocess.run([ours / "bin/python", "-m", "pip", "install", "-q", "python-can"], check=True, capture_output=True)
+            subprocess.run([ours / "bin/python", "-m", "pip", "install", "-q", "python-can", "-e", f"{TOP}/tools[delta]"], check=True, capture_output=True)
     for python in (str(ours / "bin/python"), "/usr/bin/python3"):
         with contextlib.suppress(NotMeasured):
             return python, output([python, "-c", packages]).strip()
@@ -200,7 +201,7 @@ def all_works(options, python, usual, long):
     shark = works.Shark(TOP, usual)
     found = works.works(shark, python, options.messages)
     if options.long:
-        found += works.long_works(shark, works.Shark(TOP, long))
+        found += works.long_works(shark, works.Shark(TOP, long), python)
     found = [work for work in found if options.only in work.title]
     return [works.with_version(work, TOP, options.base) for work in found] if options.base else found
 
@@ -221,7 +222,7 @@ def measure_all(options, folder, python):
     usual, long = make_traffic(options, folder)
     asked, results = all_works(options, python, usual, long), {}
     for work in asked:
-        runs = options.long if work.title in (works.LONG_LIST, works.LONG_LOG) else options.runs
+        runs = options.long if work.title in works.LONG else options.runs
         results[work.title] = measure_work(work, broken[work.title], runs)
         print(work.title, *(f"{peer} {report.shown(report.median(results, work.title, peer)) or '-'}" for peer in work.commands),
               sep="  ", flush=True)

@@ -10,7 +10,6 @@ package.path = top .. "?.lua;" .. package.path
 local can_id = require "yapp.wire.can_id"
 local catalogue_compiler = require "yapp.message.catalogue"
 local history = require "yapp.message.history"
-local text_of = require "yapp.message.text"
 local reassembly = require "yapp.can.reassembly"
 local records = require "yapp.reading.records"
 local messages_of = require "yapp.reading.messages"
@@ -46,7 +45,7 @@ local function run(path, step)
   local known, types = reassembly.new(), types_of.new(catalogue)
   local messages = messages_of.new(types, step == "values" and NO_HISTORY or new_history(), NO_COPIES)
   local frame, count, sources = records.new_can_frame(), 0, {}
-  types:use(catalogue.by_id, (source_names.parse("", catalogue)), false, function() end)
+  types:use(catalogue.by_id, (source_names.parse("", catalogue)), {}, function() end)
   each_frame(path, function(number, data, id)
     if step == "file" then return end
     local fields = can_id.fields[id]
@@ -59,7 +58,7 @@ local function run(path, step)
     if message.status == "good" then count = count + 1 end
     if step == "reassembly" then return end
     local m = messages:read(frame, message)
-    if step == "info" then text_of.info(m.source.message, m.raws, m.source.label, m.remarks) end
+    if step == "info" then local _ = m.source.label .. "  " .. m.source.write(m.raws) end
   end)
   return count
 end

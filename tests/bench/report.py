@@ -179,6 +179,10 @@ def long_captures(results, lines):
     text = table(["ten times the frames: a frame takes", "CPU, times", "memory over none, times", "<= 1.05 / <= 1.0"],
                  [growth_row(results, peer, peer == "now") for peer in peers])
     each = ratio(over_none(results, works.LONG_LOG, "now"), lines)
+    cpu, most = (ratio(*(median(results, works.LONG_CONVERT, peer, what) for peer in ("now", "now short")))
+                 for what in ("cpu", "memory"))
+    text += "\n" + table(["ten times the frames", "CPU of a frame, times", "memory, times"],
+                         [[works.LONG_CONVERT.rpartition(",")[0], shown(ratio(cpu, works.LONGER)), shown(most)]])
     return text + "\n" + table(["memory over none, bytes a line", "now", "<= 120"],
                                [[works.LONG_LOG, shown(each, "{:.0f}"), "" if each is None else verdict(each, 120)]])
 

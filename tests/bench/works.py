@@ -18,8 +18,10 @@ LIST, FILTER, VERBOSE, VALUES, TABLES = ("packet list", "one fault filter", "`-V
 UART, START, LOG = "UART, packets of 64 bytes", "start: a capture of one frame", "candump log"
 BUSES, PASSES = "packet list of two interfaces", "packet list in two passes, `-2`"
 LONG_LIST, LONG_LOG = "packet list, ten times the frames", "candump log, long"
+CONVERT, LONG_CONVERT = "candump log to {}, `yapp-tables`", "pcap to Parquet, `yapp-tables`, ten times the frames"
 MOTOR = ("torque_iq_commanded torque_iq_measured rpm_commanded rpm_measured dc_voltage dc_current motor_temperature motor_mode "
          "status_flags fault_flags timestamp motor_state esc_temperature").split()
+LONG = (LONG_LIST, LONG_LOG, LONG_CONVERT)
 VALUE_FIELDS = ["-T", "fields", *(word for name in MOTOR for word in ("-e", f"taurus.motor.{name}"))]
 FAULT = "taurus.motor.fault.motor_overcurrent"
 LONGER, LOG_LONGER = 10, 30  # times the usual traffic
@@ -37,6 +39,14 @@ class Work(typing.NamedTuple):
     commands: dict  # { peer: command line }
     target: Target = None
     times: int = 1  # how often it is measured where others are once
+
+
+def convert(shark, python, capture, kind):
+    """yapp-tables from nothing: a result that is up to date would not be made again."""
+    out = shark.folder / kind
+    command = [python, "-m", "yapp_tables", "convert", shark.folder / capture, "--to", kind, "--out", out,
+               "--plugin", shark.plugin / "yapp.lua"]
+    return ["sh", "-c", f"rm -rf {out} {out}.yapp-tables && {' '.join(map(str, command))} && echo done"]
 
 
 class Shark:
@@ -91,6 +101,8 @@ def works(shark, python, messages):
         Work(VALUES, {"script": of_script, "hand": hand(*VALUE_FIELDS), "now": now("yapp.pcap", *VALUE_FIELDS)},
              Target("hand", 1.25)),
         Work(TABLES, {"script": of_script, "list": now("yapp.pcap"), "now": now("yapp.pcap", *tables)}, Target("script", 1.15)),
+        *(Work(CONVERT.format(title), {"script": of_script, "now": convert(shark, python, "yapp.log", kind)}, Target("script", 1.3))
+          for title, kind in (("CSV", "csv"), ("Parquet", "parquet"), ("Delta", "delta"))),
         Work(f"{count} UDP packets", {"none": none("udp.pcap"), "now": now("udp.pcap")}, Target("none", 1.02)),
         Work(f"{count} foreign CAN frames", {"none": none("isotp.pcap"), "now": now("isotp.pcap")}, Target("none", 1.05)),
         Work(UART, {"none": none("uart.pcap"), "list": now("yapp.pcap"), "now": now("uart.pcap")}, Target("list", 0.8)),
@@ -101,7 +113,7 @@ def works(shark, python, messages):
     ]
 
 
-def long_works(short, long):
+def long_works(short, long, python):
     """The works on long captures: Sharks of the usual traffic, and of a folder with LONGER times as much of yapp.pcap and
     isotp.pcap, LOG_LONGER times as much of yapp.log."""
     both = {}
@@ -109,13 +121,15 @@ def long_works(short, long):
         both.update({f"none{ending}": shark.none("yapp.pcap"), f"isotp{ending}": shark.isotp(),
                      f"now{ending}": shark.now("yapp.pcap")})
     return [Work(LONG_LIST, both), Work(LONG_LOG, {"none": long.none("yapp.log"), "now": long.now("yapp.log")},
-                                       Target("none", 2.5))]
+                                       Target("none", 2.5)),
+            Work(LONG_CONVERT, {f"now{ending}": convert(shark, python, "yapp.pcap", "parquet")
+                                for ending, shark in (("", long), (" short", short))})]
 
 
 def with_version(work, plugin, other):
     """The work with another version of the plugin as a peer: where the command line has the plugin's, it has this one's."""
     def command(line):
-        return [load(other) if word == load(plugin) else word for word in line]
+        return [word.replace(str(plugin / "yapp.lua"), str(other / "yapp.lua")) for word in line]
 
     added = {peer.replace("now", "before"): command(line) for peer, line in work.commands.items() if peer.startswith("now")}
     return work._replace(commands={**work.commands, **added})

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """The arithmetic of make bench, with figures made up; that its programs run on a few messages.  Nothing here is timed."""
+import importlib.util
 import pathlib
 import subprocess
 import sys
@@ -120,5 +121,7 @@ def test_what_is_written_by_hand_has_the_same_values(folder):
 def test_every_command_shows_something(folder):
     pytest.importorskip("can")
     shark = works.Shark(tshark.PLUGIN, traffic.make(folder / "few", 10))
-    asked = [*works.works(shark, "/usr/bin/python3", 10), *works.long_works(shark, shark)]
+    asked = [*works.works(shark, sys.executable, 10), *works.long_works(shark, shark, sys.executable)]
+    if not importlib.util.find_spec("yapp_tables"):
+        asked = [work for work in asked if "yapp-tables" not in work.title]
     assert [why for why in bench.try_out(asked, {"now": shark}).values() if why] == []
