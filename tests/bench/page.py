@@ -63,6 +63,7 @@ def flight(hours, controllers):
     made.name, made.flight_id, made.begin, made.partial, made.undecoded = "long.pcapng", "0" * 8, START, "", ""
     made.complaints, made.plugin, made.catalogue, made.aircraft = [], "", "", None
     made.events, made.messages = table([], EVENTS), {"motor": Message("motor", "Motor Data", 0.1, columns)}
+    made.heads = {}
     made.summary = made.statistics = pa.table({name: pa.array([], pa.string()) for name in ("message", "field")})
     made._titles, made._tables = {"motor": "Motor Data"}, {"motor": motor_data(hours, controllers)}
     return made
