@@ -13,7 +13,8 @@ local BAD = generator.frame(7, "bad"):sub(1, -2) .. "\255"
 
 local function unknown() return nil end
 local function new_framer() return framer.new(unknown) end
-local function new() return streams.new(new_framer) end
+local function can_judge(time) return time ~= nil end -- most packets here have none
+local function new() return streams.new(new_framer, can_judge) end
 
 -- "good 5 @0", "bad 7 in 1,2", "skipped 4 @25", "incomplete 5 @0 -9"
 local function in_words(contents, bytes)
@@ -71,6 +72,69 @@ local function holds(rows, other)
 end
 
 local T = {}
+
+-- Packets that cut frames, recorded twice: at once, or the copies a little later.  Those with the header of an ID prove
+-- it; the one behind is expected once more.
+function T.test_a_byte_stream_that_was_recorded_twice()
+  local head, tail, other = A:sub(1, 14), A:sub(15), B
+  local one, two = head, tail .. other:sub(1, 9)
+  local three = other:sub(10)
+  for order, expected in pairs {
+    [{ 1, 1, 2, 2, 3, 3 }] = { "14 wait for 11", "14 wait for 11", "good 5 in 1,3, 9 wait", "good 5 in 2,4, 9 wait",
+      "good 6 in 3,5", "good 6 in 4,6" },
+    [{ 1, 2, 1, 2, 3, 3 }] = { "14 wait for 11", "good 5 in 1,2, 9 wait", "14 wait for 11", "good 5 in 3,4, 9 wait",
+      "good 6 in 2,5", "good 6 in 4,6" },
+    [{ 1, 1, 1, 2, 2, 2, 3 }] = { "14 wait for 11", "14 wait for 11", "14 wait for 11",
+      "good 5 in 1,4, 9 wait", "good 5 in 2,5, 9 wait", "good 5 in 3,6, 9 wait", "good 6 in 4,7" },
+  } do
+    local self = new()
+    for i, number in ipairs(order) do
+      local bytes = ({ one, two, three })[number]
+      local packet = packet_of({ i, bytes, is_datagram = true, time = i * 0.003 })
+      lu.assertEquals(in_words(self:add(packet, true), bytes), expected[i], #order .. ": " .. i)
+      lu.assertEquals(in_words(self:find(packet), bytes):match("^good.-%d,%d"), expected[i]:match("^good.-%d,%d"))
+    end
+    for _, open in ipairs(self:unfinished()) do lu.assertEquals(open.findings, {}) end
+  end
+end
+
+-- Of a part that was recorded twice, only whole frames count; what it lacks is no loss.
+function T.test_a_part_of_a_byte_stream_that_was_recorded_twice()
+  local self, text = new(), A .. B .. A .. B
+  local rows = { text:sub(1, 20), text:sub(1, 20), text:sub(21, 60), text:sub(61, 75), text:sub(76) }
+  local good, others = 0, 0
+  for i, bytes in ipairs(rows) do
+    local packet = packet_of({ i, bytes, is_datagram = true, time = i * 0.001 })
+    for _, finding in ipairs(self:add(packet, true).findings) do
+      if finding.status == "good" then good = good + 1 else others = others + 1 end
+    end
+  end
+  lu.assertEquals({ good, others }, { 4, 0 })
+end
+
+-- Equal bytes are no copy where nothing proves it: idle controllers send the same, and a controller does again after
+-- 20 ms.
+function T.test_equal_packets_that_are_no_copies()
+  local function goods(cuts, times, is_tcp)
+    local self, count, at = new(), 0, 1
+    for i, bytes in ipairs(cuts) do
+      local packet = packet_of({ i, bytes, is_datagram = not is_tcp, is_tcp = is_tcp, time = times[i] })
+      if is_tcp then packet.seq, at = at, at + #bytes end
+      for _, finding in ipairs(self:add(packet, true).findings) do
+        if finding.status == "good" then count = count + 1 end
+      end
+    end
+    return count
+  end
+  local idle = ("\1\2\3\4"):rep(5)
+  local one, two = generator.frame(5, idle), generator.frame(6, idle)
+  local cuts = { one:sub(1, 12), one:sub(13, 22), one:sub(23, 32), one:sub(33),
+    two:sub(1, 12), two:sub(13, 22), two:sub(23, 32), two:sub(33) }
+  lu.assertEquals(goods(cuts, { 0, 0.001, 0.002, 0.003, 0.004, 0.005, 0.006, 0.007 }), 2)
+  local again = { A:sub(1, 14), A:sub(15), A:sub(1, 14), A:sub(15) }
+  lu.assertEquals(goods(again, { 0, 0.001, 0.02, 0.021 }), 2)
+  lu.assertEquals(goods(again, { 0, 0.001, 0.002, 0.003 }, true), 2) -- TCP has sequence numbers
+end
 
 function T.test_frames_and_text_in_a_packet()
   holds {
@@ -234,7 +298,9 @@ end
 -- Whatever the size of the packets, a conversation is known when its first frame or header has come.
 function T.test_a_conversation_on_trial()
   local known = { [5] = 9 }
-  local function new_trial() return streams.new(function() return framer.new(function(id) return known[id] end) end) end
+  local function new_trial()
+    return streams.new(function() return framer.new(function(id) return known[id] end) end, can_judge)
+  end
   for _, length in ipairs { 1, 3, 8, 11, 12, 20 } do
     for _, frame in ipairs { A, B } do -- B is proved by its CRC alone
       local self, found, shown = new_trial(), nil, nil

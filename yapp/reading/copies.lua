@@ -60,6 +60,12 @@ local function find_in(list, message, distance)
   end
 end
 
+--- Whether time stamps tell what is a copy.
+-- time  of a message or packet, seconds since the first packet
+function Copies:can_judge(time)
+  return self.is_timed and (self.stamps_differ or time ~= 0)
+end
+
 --- Find the original of a message, in the order of the capture.
 -- message       of reading.messages; on a revisit, return what was found before
 -- is_only_pass  whether it is never asked for again
@@ -76,8 +82,7 @@ function Copies:find(message, is_only_pass)
     list = {}
     self.by_source[source] = list
   end
-  local may_be_copy = self.stamps_differ or time ~= 0
-  local original = may_be_copy and find_in(list, message, distance) or nil
+  local original = self:can_judge(time) and find_in(list, message, distance) or nil
   -- A read filter may have dropped a copy whose number this packet has.
   if not is_only_pass and original ~= self.originals[message.key] then
     self.originals[message.key] = original

@@ -51,7 +51,8 @@ end
 --- Forget the capture file.
 -- options  of message.history
 function Reading:reset(options)
-  self.messages = messages.new(self.types, history.new(options), copies.new(self.buses))
+  local finder = copies.new(self.buses)
+  self.messages = messages.new(self.types, history.new(options), finder)
   -- CAN:
   self.reassembly = reassembly.new()
   self.sources = memo(function(bus) -- [bus or false][ID] = a source
@@ -63,7 +64,8 @@ function Reading:reset(options)
   -- The result of the current frame, which is used again as the frame is.
   self.result = records.new_result("other", false)
   -- Streams:
-  self.streams = streams.new(function() return self:new_framer() end)
+  self.streams = streams.new(function() return self:new_framer() end,
+    function(time) return finder:can_judge(time) end)
   self.lines = lines.new(self.types, self.buses)
   self.found = {} -- [trial_key of a line] = true: conversations that were found by content
 end

@@ -12,9 +12,13 @@
 -- A datagram of whole frames is complete in itself.  Other datagrams are a byte stream, as of a
 -- bridge from a serial line, which cuts where it likes.  A lost one costs the frames it cut.
 --
+-- A byte stream may be recorded twice: the copies of its packets are another stream, of which only
+-- good frames count.
+--
 -- A conversation may be unknown when its first bytes come: they are on trial.
 
 local memo = require "yapp.base.memo"
+local repeats = require "yapp.serial.repeats"
 
 local M = {}
 
@@ -56,12 +60,16 @@ end
 
 --- Make the streams of a capture.
 -- new_framer  function() -> a serial.framer
-function M.new(new_framer)
+-- can_judge   function(time): whether time stamps tell what is a copy
+function M.new(new_framer, can_judge)
   return setmetatable({
     new_framer = new_framer,
+    can_judge = can_judge,
+    repeats = repeats.new(can_judge),
+    copies_by_key = memo(function() return new_stream(new_framer()) end),
     reader = new_framer(), -- of bytes that are complete in themselves, see Streams:read
     by_key = memo(function() return new_stream(new_framer()) end),
-    trials = {}, -- by key, of unknown conversations: { framer, packets }
+    trials = {}, -- by key, of unknown conversations: { framer, repeats, packets }
     trial_count = 0,
     trials_by_tag = {}, -- how many, by tag of serial.lines
     contents_by_key = {}, -- by frame key: what Streams:add returned
@@ -255,6 +263,28 @@ local function read_alone(self, packet)
   return (is_complete or is_plain(findings, packet.bytes)) and findings or nil
 end
 
+-- Return the stream that a packet belongs to, and whether it is one of copies.
+-- is_alone  whether the packet is complete in itself: then the messages in it tell what is a copy
+local function stream_of(self, packet, is_alone)
+  local key = packet.stream
+  if packet.is_tcp or is_alone then return self.by_key[key], false end
+  local number = self.repeats:copy_number(packet)
+  if number == 0 then return self.by_key[key], false end
+  return self.copies_by_key[key .. "|" .. number], true
+end
+
+-- Remove all findings but good frames: bytes that were not recorded twice are no loss.
+local function keep_good(findings)
+  local count = 0
+  for i, finding in ipairs(findings) do
+    findings[i] = nil
+    if finding.status == "good" then
+      count = count + 1
+      findings[count] = finding
+    end
+  end
+end
+
 -- Return how many bytes wait in a stream.
 local function count_waiting(stream)
   return stream and stream.framer.to - stream.framer.from or 0
@@ -341,14 +371,13 @@ end
 --   is_others whether it is a datagram of others: nothing else of it holds
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
 function Streams:add(packet, is_stored)
-  local alone, stream = read_alone(self, packet), rawget(self.by_key, packet.stream)
-  local waited = count_waiting(stream)
-  if alone and waited == 0 then
+  local alone = read_alone(self, packet)
+  if alone and count_waiting(rawget(self.by_key, packet.stream)) == 0 then
     if is_stored then self.contents_by_key[packet.key] = PLAIN end
     return new_contents(packet, alone)
   end
-  stream = self.by_key[packet.stream]
-  local findings = {}
+  local stream, is_copy = stream_of(self, packet, alone)
+  local waited, findings = count_waiting(stream), {}
   local contents = new_contents(packet, findings)
   -- What waits was cut by a lost datagram if the next one is complete in itself.
   if alone then stream.framer:add("", true, findings) end
@@ -359,7 +388,7 @@ function Streams:add(packet, is_stored)
     contents.is_others = true
     return contents
   end
-  note_truncated(self, stream, packet, findings)
+  if is_copy then keep_good(findings) else note_truncated(self, stream, packet, findings) end
   if is_stored then
     local can_be_read_anew = not packet.is_datagram and is_plain(findings, packet.bytes)
     self.contents_by_key[packet.key] = can_be_read_anew and PLAIN or contents
@@ -405,7 +434,12 @@ local function new_trial(self, packet)
   if self.trial_count >= MAX_TRIALS then
     self.trials, self.trials_by_tag, self.trial_count = {}, {}, 0
   end
-  local trial = { framer = self.new_framer(), packets = {}, tag = packet.tag }
+  local trial = {
+    framer = self.new_framer(),
+    repeats = repeats.new(self.can_judge),
+    packets = {},
+    tag = packet.tag,
+  }
   if packet.is_tcp then trial.framer:expect_telnet() end
   self.trials[packet.stream] = trial
   count_trial(self, trial.tag, 1)
@@ -441,10 +475,15 @@ local function goes_on(trial, packet)
   return true
 end
 
--- Whether a trial has had a packet: by its port, and then by the heuristics.
-local function has_had(trial, packet)
-  local latest = trial.packets[#trial.packets]
-  return latest and latest.key == packet.key
+-- Whether a trial has had the bytes of a packet: by its port, and then by the heuristics; or in the
+-- packet that it is a copy of.  A copy that proves that it is YAPP is taken.
+local function was_had(trial, packet, is_proved)
+  local packets = trial.packets
+  local latest = packets[#packets]
+  if latest and latest.key == packet.key then return true end
+  if is_proved or packet.is_tcp or trial.repeats:copy_number(packet) == 0 then return false end
+  packets[#packets + 1] = packet
+  return true
 end
 
 -- Whether a good frame begins before an offset.
@@ -464,7 +503,7 @@ end
 function Streams:try(packet, is_proved)
   local trial = self.trials[packet.stream] or not is_proved and new_trial(self, packet)
   if not trial then return is_proved and {} or nil end
-  if has_had(trial, packet) then return nil end
+  if was_had(trial, packet, is_proved) then return nil end
   local framer = trial.framer
   local from = framer.to
   local findings = framer:add(packet.bytes, packet.truncated)
