@@ -284,6 +284,12 @@ function T.test_alarms_of_the_first_message_are_raised()
   lu.assertEquals(first.active_time, 0)
 end
 
+-- The capture's clock goes back behind the beginning of a fault: how long it lasts is not known then.
+function T.test_a_fault_across_a_step_back()
+  lu.assertEquals(run({ motor(1, 10, { fault = 1 }), motor(2, 10.1, { fault = 1 }), motor(3, 2, { fault = 1 }),
+    motor(4, 10, { fault = 1 }) }, "active_time")[3], "-")
+end
+
 function T.test_since_when_the_oldest_alarm_is_set()
   lu.assertEquals(run({ motor(1, 1), motor(2, 2, { fault = 1 }), motor(3, 3, { fault = 3 }), motor(4, 4, { fault = 2 }),
     motor(5, 5, { fault = 0 }), motor(6, 6, { fault = 1 }), motor(7, 7, { fault = 1, clock = 0 }) }, "active_time"),

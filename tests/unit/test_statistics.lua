@@ -1236,6 +1236,23 @@ function T.test_a_clock_that_goes_back_for_good()
   lu.assertEquals({ found_rules[1], found_rules[2] }, { "silence=0 left false 1 3", "silence=0 null true 0 null" })
 end
 
+-- A clock that begins anew at 0: of 2^32 microseconds, of a day.  What is missing to its end is the time that went by.
+function T.test_a_clock_that_wraps()
+  for _, wrap in ipairs { 4294.967296, 86400 } do
+    local records = {}
+    for i = 0, 9 do
+      local change = i == 3 and raised(1, 1) or i == 7 and raised(0, 0, 1) or nil
+      records[i + 1] = record(i + 1, (wrap - 0.45 + i * 0.1) % wrap,
+        { payload = payload(10, i >= 3 and i < 7 and 1 or 0), change = change })
+    end
+    lu.assertEquals(found("faults,json", "fault", records, {})[2]:match('"active":([%d.]+)'), "0.400000000")
+    lu.assertEquals(#found("events,json", "clock", records, {}), 1)
+    local text = run({ "summary" }, records)
+    lu.assertStrContains(text, ("1 source in %.3f s"):format(wrap + 0.45)) -- 0 was the first packet's time
+    lu.assertEquals(verdicts("motor.rate=9.999..10.001", records)[1]:match("true") , "true")
+  end
+end
+
 function T.test_the_clock_of_the_capture()
   local records = { record(1, 100), record(2, 100.1), record(3, 50), record(4, 50.05), record(5, 50.049) }
   lu.assertEquals(found("events,json", "clock", records, { last = 50.2 }), { '{"kind":"clock",,"length":-50.100000000}' })

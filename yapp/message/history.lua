@@ -312,13 +312,19 @@ function History:change(message)
   return key > source.shared_key and UNRELIABLE or source.changes[key], delta
 end
 
+-- Return the seconds from one time to another, nil if the capture's clock went back behind that.
+local function span(from, to)
+  return from <= to and to - from or nil
+end
+
 --- Return the state at a message, whether the message changes it or not.
 -- message        as it was added
 -- returns  nil if message is not good, or its source is not known or unreliable, else {
 --   drift         seconds: controller's clock less the capture's, since the source's first message
 --                 or reboot
 --   command_in    frame key of the latest good message on the bus that it answers: a Command
---   active_time   seconds since the oldest fault that is still set was raised
+--   active_time   seconds since the oldest fault that is still set was raised; nil if the capture's
+--                 clock went back behind that
 --   raised_in, cleared_in  frame keys of the messages in which the time with a fault began and
 --                 ended, if one is set or changes
 --   previous_change, next_change  of the messages before and behind it that changed a fault, then }
@@ -332,7 +338,7 @@ function History:state(message)
   local state = {
     drift = clock and clock / 1e9 - message.time - base,
     command_in = commands and commands[last_until(commands, key - 1)],
-    active_time = since and message.time - since or nil,
+    active_time = since and span(since, message.time),
   }
   if since or is_change then
     state.raised_in, state.cleared_in = source.incidents[last].first, source.incidents[last].last

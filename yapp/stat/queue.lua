@@ -17,6 +17,9 @@ local MAX_LOSSES = 1000 -- look through the waiting losses when they are more, s
 local SEARCH_PREFERENCES = "yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first, " ..
   "-d tcp.port==PORT,yapp_serial, in Wireshark also yapp.search_all" -- tshark searches all
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
+-- Clocks that begin anew at 0: of 2^32 microseconds, of a day.  What is missing to their end is the
+-- time from one packet to the next.
+local WRAPS, MAX_REST = { 2 ^ 32 / 1e6, 86400 }, 10 -- seconds
 local MAX_APART = 0.2 -- seconds between the packets of recorders whose stamps alternate
 local MAX_FALLS = 4 -- of as many recorders, and one more, the stamps may alternate
 local NO_TIMES = "packets of this capture have no time stamps"
@@ -66,6 +69,16 @@ function Queue:add(statistic, options)
   return deriver
 end
 
+-- Return the seconds to add for a step back of a clock: if it began anew, the time went on.
+--   4294.900, 0.010   4294.967296: 0.077 s went by
+--   10.0, 3.8         6.2
+local function fall_of(step)
+  for _, wrap in ipairs(WRAPS) do
+    if wrap >= step and wrap - step < MAX_REST then return wrap end
+  end
+  return step
+end
+
 -- Return the time of an event without the steps back of its source's own stamps: the stamps of
 -- other sources may be those of another recorder.
 local function time_of(self, event)
@@ -77,7 +90,10 @@ local function time_of(self, event)
   local now = event.time + clock.fallen
   if event.kind ~= "message" and event.kind ~= "crc" then return now end -- a loss may come late
   local step = kinds.span(now, clock.latest or now)
-  if step > MAX_STEP then clock.fallen, now = clock.fallen + step, now + step end
+  if step > MAX_STEP then
+    local fall = fall_of(step)
+    clock.fallen, now = clock.fallen + fall, now + fall
+  end
   clock.latest = now
   return now
 end
@@ -89,8 +105,9 @@ end
 local function note_step(self, step)
   local falls, total = self.falls, 0
   if step < -MAX_STEP then
-    self.fallen = self.fallen - step
-    table.insert(falls, 1, -step)
+    local fall = fall_of(-step)
+    self.fallen = self.fallen + fall
+    table.insert(falls, 1, fall)
     falls[MAX_FALLS + 1] = nil
     return
   end

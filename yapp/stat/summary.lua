@@ -103,7 +103,7 @@ function Summary:finish(ending, notes)
     rows[i].values = output.object(names, ranges)
   end
   local sources = output.count(#rows, "source")
-  local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.rel or 0)
+  local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.now or 0)
   output.print(context, title, COLUMNS, rows, notes)
   if shown[1] and not context.json then
     context.out("\n")
