@@ -244,6 +244,13 @@ function T.test_stamps_without_a_date()
   lu.assertEquals(whole("base hex timestamps relative\n0.5 1 1 Rx d 0\n0.5 1 1 Rx d 0\n"), "0.500000000 1.000000000")
 end
 
+-- Nanoseconds of relative stamps add up: 1000 lines are 0.6 ms.
+function T.test_relative_stamps_of_nanoseconds()
+  local found = frames("base hex timestamps relative\n" .. ("0.001000600 1 123 Rx d 0\n"):rep(1000))
+  lu.assertEquals({ #found, found[1].nanoseconds, found[5].nanoseconds }, { 1000, 1000000, 5003000 })
+  lu.assertEquals({ found[1000].seconds, found[1000].nanoseconds }, { 1, 600000 })
+end
+
 -- Without a base, that in which more lines are frames.
 -- Editors of Windows put it in front of UTF-8, whatever the head.
 function T.test_a_byte_order_mark()

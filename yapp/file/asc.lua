@@ -52,6 +52,12 @@ local function read_stamp(line)
   return sign == "-" and -time or time, rest
 end
 
+-- Return the nanoseconds, 0 to 999, that read_stamp leaves out.
+local function read_rest(line)
+  local digits = line:match("^%s*%d+[.,]%d%d%d%d%d%d(%d%d?%d?)%d*%s")
+  return digits and tonumber((digits .. "00"):sub(1, 3)) or 0
+end
+
 -- A line ------------------------------------------------------------------------------------------
 
 local UNKNOWN = "not an ASC line, skipped"
@@ -191,13 +197,18 @@ end
 
 -- Take the time in front of a line: log.clock is the time of its frame.  A block of a log says when
 -- it began: python-can counts from there, CANoe from the date of the file.
-local function take_stamp(log, stamp)
+local function take_stamp(log, line, stamp)
   if log.began then
     local date = log.date or 0
     local is_since_date = math.abs(date + stamp - log.began) < 2 * SECOND
     log.start, log.began = is_since_date and date or log.began, nil
   end
-  log.sum = log.is_relative and log.sum + stamp or stamp
+  if log.is_relative then
+    log.rest = log.rest + read_rest(line)
+    stamp = log.sum + stamp + math.floor(log.rest / 1000)
+    log.rest = log.rest % 1000
+  end
+  log.sum = stamp
   -- Without a date, times count from 0; from a whole second later if the first is below 0.
   log.start = log.start or log.date or math.max(0, math.ceil(-stamp / SECOND)) * SECOND
   log.clock = log.sum + (log.sum < EPOCH and log.start or 0)
@@ -209,7 +220,7 @@ local function read_record(log, line, offset)
   if not offset then return record end
   if why then log:lose(line, why) end
   if not stamp then return take_date(log, line) end
-  take_stamp(log, stamp)
+  take_stamp(log, line, stamp)
   if record then
     local number = record.bus
     log.buses[number] = log.buses[number] or { number = number, name = "CAN-" .. number }
@@ -290,6 +301,7 @@ function M.open(file, report)
   log.began = nil -- the date of a block until its first stamp comes
   log.start = nil -- what stamps count from, if not from the date
   log.sum = 0 -- the last stamp; if they are relative, the sum of all
+  log.rest = 0 -- nanoseconds that the sum leaves out
   log.clock = 0 -- the time of the last line
   return text.open(head, report, log)
 end
