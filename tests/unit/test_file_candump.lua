@@ -52,6 +52,35 @@ function T.test_deltas_are_added_up()
 end
 
 -- As an adapter stamps that fetches several frames at once.
+-- The same in the format of logs: candump -L -t d, also where Wireshark's own reader would take it (no `all`).
+function T.test_deltas_of_a_log()
+  local text = ""
+  for i = 1, 20 do text = text .. ("(000.%06d) can0 08404000#A2\n"):format(i % 2 == 0 and 99000 or 1000) end
+  local log = candump.open(text_file(text), { report = function() end })
+  lu.assertNotNil(log)
+  local file, sum = text_file(text), 0
+  log = candump.open(file, { all = true, report = function() end })
+  for i = 1, 20 do
+    local _, _, seconds, nanoseconds = log:read(file)
+    sum = sum + (i % 2 == 0 and 99000 or 1000)
+    lu.assertEquals({ seconds, nanoseconds }, { math.floor(sum / 1000000), sum % 1000000 * 1000 })
+  end
+  -- Since the first one (-t z), and other programs' short times, which may be those of two recorders:
+  for _, shape in ipairs { "(%03d.%06d)", "(%d.%06d)" } do
+    text = ""
+    for i = 1, 20 do
+      local ahead = shape == "(%d.%06d)" and i % 2 * 3 or 0
+      text = text .. shape:format(i + ahead, i) .. " can0 08404000#A2\n"
+    end
+    file = text_file(text)
+    log = candump.open(file, { all = true, report = function() end })
+    for i = 1, 20 do
+      local ahead = shape == "(%d.%06d)" and i % 2 * 3 or 0
+      lu.assertEquals((select(3, log:read(file))), i + ahead)
+    end
+  end
+end
+
 function T.test_equal_times_since_the_first_stay()
   local stamps = {}
   for i = 0, 39 do stamps[i + 1] = ("000.%06d"):format(i - i % 2) end

@@ -68,6 +68,7 @@ local function read_stamp(record, stamp)
   record.seconds = read(whole)
   record.nanoseconds = tonumber((fraction .. "00000000"):sub(1, 9))
   record.is_relative = #whole < 10
+  record.is_short = #whole == 3 -- as candump pads a time that is not absolute
   if fraction == "1000000" and record.seconds then
     record.seconds, record.nanoseconds = record.seconds + 1, 0
   end
@@ -93,7 +94,7 @@ local function read_log(record, data, way, stop, line)
   local has_more = stop <= #line
   if has_more then record.note = BEHIND end
   record.sent = way == "T" and not has_more
-  record.is_relative = false
+  record.is_relative = record.is_short -- of candump -L -t d or z; other programs write short times
   local length, dlc = data:match("^R(%d?)_?(%x?)$")
   local flags, hex = data:match("^#(%x)(%x*)$")
   if flags then
@@ -167,7 +168,7 @@ local function frame_of(line)
   if not (id and a) then return nil, UNKNOWN end
   local record = {
     bus = bus, id = read_id(id), fd = false, sent = sent, flags = flags, raw_dlc = 0,
-    is_relative = false,
+    is_relative = false, is_short = false,
   }
   local why = fill(record, stamp, line, read, a, b, c)
   if not why then return record end
@@ -462,13 +463,13 @@ function M.open(file, options)
   local log = recognise(lines)
   if not log then return nil end
   local is_plain = plain_test(log.bus, options.by_value)
-  if not options.all and is_plain(lines) then
+  if not (options.all or log.deltas) and is_plain(lines) then
     head = text_that_needs_us(file, head, is_plain)
     if not head then
       return nil, { plain_bus = utf8.name(log.bus), stamps_differ = log.stamps_differ }
     end
   end
-  log.record, log.next = read_record, next_frame
+  log.record, log.next = read_record, not log.deltas and next_frame or nil
   log.per_second = SECOND
   log.clock = 0 -- sum of the deltas in nanoseconds
   log.latest_date = nil -- seconds of the latest time that was a date

@@ -108,7 +108,8 @@ local function emit_fault(self, cause, fault, event)
   local flag, active = fault.flag, nil
   if event ~= "raised" then
     local till = event == "cleared" and self.now or self.by_source[cause.source].counted_at
-    active = output.seconds(span(self.raised_at[fault] or till, till))
+    -- A step back of less than a millisecond is none, see stat.queue.
+    active = output.seconds(math.max(0, span(self.raised_at[fault] or till, till)))
   end
   emit(self, "fault", cause, {
     field = fault.field,
