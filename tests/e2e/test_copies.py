@@ -3,6 +3,7 @@
 import json
 import random
 import re
+import struct
 
 import pytest
 
@@ -86,6 +87,32 @@ def test_a_flight_that_was_recorded_twice(folder, how, share):
         events = [[(line["bus"], line["id"], line["flag"], line["event"]) for line in z(capture, "faults,json", *arguments)[1]]
                   for capture in (path, single)]
         assert events[0] == events[1] and (events[0] != []) == (flight is FAULTY)
+
+
+@pytest.mark.parametrize("times, delay", [(2, 0), (2, 200), (3, 900)])
+def test_a_byte_stream_over_datagrams_that_was_recorded_twice(folder, times, delay):
+    """A bridge cuts its frames; each datagram comes once more, at once or some microseconds later, between those of its frame."""
+    data = (CASES / "udp_bridge_40.pcap").read_bytes()
+    assert data[:4] == b"\xd4\xc3\xb2\xa1"
+    records, at = [], 24
+    while at < len(data):
+        second, micro, size = struct.unpack_from("<III", data, at)
+        stamp = second * 10**6 + micro
+        records += [(stamp + copy * delay, data[at + 8:at + 16 + size]) for copy in range(times)]
+        at += 16 + size
+    records.sort(key=lambda record: record[0])
+    path = folder / "twice.pcap"
+    path.write_bytes(data[:24] + b"".join(struct.pack("<II", *divmod(stamp, 10**6)) + rest for stamp, rest in records))
+    truth = [(row["message"], row["count"]) for row in z(CASES / "udp_bridge_40.pcap", "summary,json")[1] if row["message"]]
+    rows = [row for row in z(path, "summary,json")[1] if row["message"]]
+    assert truth and [(row["message"], row["count"]) for row in rows] == truth
+    assert [(row["copies"], row["incomplete"], row["crc_bad"]) for row in rows] == [(count * (times - 1), 0, 0) for _, count in truth]
+    assert [fault["event"] for fault in z(path, "faults,json")[1]] == ["raised", "cleared"]
+    total = sum(count for _, count in truth) * (times - 1)
+    for passes in ((), ("-2",)):
+        shown = tshark.fields(path, ["yapp.copy_of"], *passes, "-Y", "yapp.copy")
+        assert sum(row[0].count(",") + 1 for row in shown) == total
+    tshark.assert_no_lua_errors(path)
 
 
 def test_a_controller_that_hangs_is_stale(folder):
