@@ -182,7 +182,8 @@ local function find_options()
   return joined(serial_options, options), certain
 end
 
--- What statistics say of streams: a packet list looks for YAPP only if the first bytes may have it.
+-- Return the notes of statistics on streams: a packet list looks for YAPP only if the first bytes
+-- may have it.
 local function notes()
   return joined(buses.found.may_have_frames and {} or streams:notes(), usb.notes())
 end
@@ -337,9 +338,9 @@ end
 
 -- Preferences and files ---------------------------------------------------------------------------
 
--- List what makes the answer of a statistic incomplete: a catalogue or preferences with mistakes,
--- and a file with messages that was not read, which is said once.
--- wrong  list of texts: what is wrong with preferences
+-- List all that makes the answer of a statistic incomplete: a catalogue or preferences with
+-- mistakes, and a file with messages that was not read, which is said once.
+-- wrong  list of errors in preferences
 local function list_problems(wrong)
   local problems, file = {}, yapp.prefs.messages
   if not is_whole then problems[1] = "the catalogue did not load whole" end

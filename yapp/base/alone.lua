@@ -1,7 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- No module requires this one.  Wireshark runs it if the folder yapp/ is below a plugin folder,
 -- where Wireshark runs every Lua file: in folders first, by name.  Each other module then fails to
--- find the modules that it requires.  So say first, ahead of a thousand errors, what is wrong.
+-- find the modules that it requires.  So name the cause first, ahead of a thousand errors.
 -- In a clone ci/clone.lua runs it still earlier.
 
 local function say()

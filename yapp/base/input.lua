@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Checks of catalogues, preferences and options: what values must be, and the texts of errors.
+-- Checks of catalogues, preferences and options: conditions on values, and the texts of errors.
 -- Pure Lua.
 
 local utf8 = require "yapp.base.utf8"
@@ -28,7 +28,7 @@ function M.shown(v)
   return (kind == "table" or kind == "function") and "a " .. kind or tostring(v)
 end
 
--- What values are --------------------------------------------------------------------------------
+-- Conditions on values --------------------------------------------------------------------------
 
 function M.is_integer(v)
   return type(v) == "number" and v % 1 == 0
@@ -52,7 +52,7 @@ function M.is_text(v)
 end
 
 --- Raise that a number is not an integer from low to high.
--- what  it is called
+-- what  its name in errors
 function M.within(what, v, low, high)
   local is_within = M.is_integer(v) and v >= low and v <= high
   demand(is_within, "%s %s is not one of %d .. %d", what, M.shown(v), low, high)
@@ -104,8 +104,8 @@ end
 local TEXTS = M.set("section unit help info")
 local TABLES = M.set("values flags bits cases differences derived")
 
---- Raise what is wrong with the options of a row, or of a message.
--- what        "flag stopped", "type uint8": whose options they are
+--- Raise errors in the options of a row, or of a message.
+-- what        the owner of the options: "flag stopped", "type uint8"
 -- options     { [name] = true } of the options that are allowed
 -- positional  how many values without a name it has
 function M.options(t, what, options, positional)
@@ -119,8 +119,8 @@ function M.options(t, what, options, positional)
   end
 end
 
---- Raise what is wrong with the name, title or options of a row { name, ..., title }.
--- what      "flag": what its list has; i = its index in that
+--- Raise errors in the name, title or options of a row { name, ..., title }.
+-- what      the kind of its list: "flag"; i = its index in that
 -- title_index  the index of its title
 -- options   see M.options
 -- returns   its name in errors: "flag stopped"

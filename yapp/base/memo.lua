@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- A table that makes what it lacks.  Pure Lua.
+-- A table that makes its missing values.  Pure Lua.
 
 --- Make a table whose value for a key is make(key), called when the key is first asked for.
 -- list  gets the values in the order in which they are made; nil for none

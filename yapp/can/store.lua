@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What revisits need to know of CAN frames.  Pure Lua.
+-- The memory of CAN frames for revisits.  Pure Lua.
 --
 -- A good message is packed into a string, so nothing is kept of its fragments.  Frames 7, 8 and 10
 -- with offset 16 make a good message of 9 bytes:

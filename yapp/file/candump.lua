@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What candump prints and logs: the CAN frame in a line, whether a file is such, and its frames as
--- packets.  Pure Lua.
+-- The output and logs of candump: the CAN frame in a line, whether a file is such, and its frames
+-- as packets.  Pure Lua.
 --
 -- A line, after can-utils (lib.c, candump.c), has the form LOG or SCREEN behind the CAN id;
 -- read_head reads what stands before.  A line without a frame has one of the forms OTHERS.  A line
@@ -110,9 +110,9 @@ local function read_log(record, data, way, stop, line)
   record.fd = record.fd or FD_LENGTHS[record.length] or false
 end
 
--- Fill in what the screen has behind the id: [8] classic, [08] CAN FD, {E} classic with the raw DLC
--- (-8).  Between the bytes is a blank, or with -S, which turns them around, a "`".  Behind them is
--- nothing, ERRORFRAME, or in quotes the bytes as ASCII.
+-- Fill in the data that the screen has behind the id: [8] classic, [08] CAN FD, {E} classic with
+-- the raw DLC (-8).  Between the bytes is a blank, or with -S, which turns them around, a "`".
+-- Behind them is nothing, ERRORFRAME, or in quotes the bytes as ASCII.
 local function read_screen(record, open, digits, data)
   local is_raw = open == "{"
   local length = tonumber(digits, is_raw and 16 or 10)
@@ -133,13 +133,13 @@ end
 
 -- A line ------------------------------------------------------------------------------------------
 
--- What follows the id in a line with a frame.
+-- The text behind the id in a line with a frame.
 -- (1700000000.000001) can0 08404000#BBBE6FC720000000 R
 local LOG = "^#(%S*)%s*([RT]?)%s*()"
 --  (000.000499)  can0  RX - -  08404000   [8]  BB BE 6F C7 20 00 00 00   '..o. ...'
 local SCREEN = "^%s+([%[{])(%x%x?)[%]}](.*)$"
 
--- Return what stands in front of an id: the time, the bus, with -x the direction and the flags of
+-- Return the values in front of an id: the time, the bus, with -x the direction and the flags of
 -- CAN FD; then the id and the index behind it.  Each may be nil.
 local function read_head(line)
   local stamp, first = match(line, "^%s*%(([^()]+)%)%s+()")
@@ -190,12 +190,12 @@ local function repaired(line)
   return (line:gsub("(%x)O%f[%s\0]", "%10"))
 end
 
---- Read a line of what candump prints and logs.
+--- Read a line of candump's output or log.
 -- line     text without its line end; colours and a byte order mark are dropped
 -- returns  the frame: { bus = name, id = with SocketCAN's flags, fd, flags = of CAN FD: 1 BRS, 2
 --          ESI; length = bytes, or the DLC of a remote frame; data = string, zero in a remote
 --          frame; raw_dlc = 9 to 15, or 0; sent; seconds, nanoseconds, is_relative = nil without a
---          time; note = what is to be said of the line, or nil }.  For a line without a frame: nil;
+--          time; note = a remark on the line, or nil }.  For a line without a frame: nil;
 --          a reason, nil for what -e prints below a frame; true if the line is harmless: the packet
 --          list need not report it, and the file may still be candump's
 function M.parse(line)
@@ -312,7 +312,7 @@ local function may_begin(lines)
   return false
 end
 
--- Return what the first lines of a file say, or nil if they are not candump's: { deltas = whether
+-- Survey the first lines of a file; return nil if they are not candump's: { deltas = whether
 -- the times are those since the frame before, decimals = 6 or 9, bus = name of the first one,
 -- has_several = whether there are others, stamps_differ = whether not all stamps are equal }.
 local function recognise(lines)
@@ -451,7 +451,7 @@ end
 -- file     anything with read(bytes) and seek("set", offset), at its start, as io.open gives it
 -- options  { all = true to take all candump text, false to leave to Wireshark's own reader what
 --          that gets right; by_value = whether that reader goes by the value of an id, as 4.6 does;
---          report = function(text), called with what is to be said of a line }
+--          report = function(text), called with a remark on a line }
 -- returns  a log with read and seek_read, and { decimals = 6 or 9, of the times; has_several =
 --          whether its first lines have several buses; stamps_differ, drops = as readers.log
 --          returns them }.  Otherwise nil, and if Wireshark's own reader gets the log right, what

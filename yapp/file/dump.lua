@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- A raw serial dump as packets: what `cat /dev/ttyUSB0 > run.yapp` saved.  Pure Lua.
+-- A raw serial dump as packets: the file of `cat /dev/ttyUSB0 > run.yapp`.  Pure Lua.
 
 local M = {}
 

@@ -11,7 +11,7 @@ local M = {}
 
 local NO_BUS = {}
 local bus -- of the record read last
-local latest -- the log opened or read last, or what is known of one left to Wireshark
+local latest -- the log opened or read last, or the facts of one left to Wireshark
 
 --- Forget all files.  Call it before any reader sees a file: sharkd opens another file without
 -- closing the first.
@@ -28,7 +28,7 @@ function M.current()
   return bus.number, bus.name
 end
 
---- Return what the log that was opened or read last says of the capture, each nil for other files.
+--- Return the facts of the log that was opened or read last, each nil for other files.
 -- returns  { has_several = whether it has several buses, by its first lines; drops = list of
 --          { count = packets that were lost while capturing, bus = name or nil, frame = number of
 --          the packet behind the loss or nil, time = that packet's seconds since 1970 or nil },
@@ -41,7 +41,7 @@ function M.log()
   return latest
 end
 
--- Fill a record with what a log's read or seek_read returned.
+-- Fill a record with the results of a log's read or seek_read.
 -- returns  its offset; false at the end
 local function fill(log, frame, offset, bytes, seconds, nanoseconds, its_bus, comment)
   latest = log
@@ -97,7 +97,7 @@ local function register(title, name, kind, encap, open, extension)
   register_filehandler(handler)
 end
 
--- Return what reports a text.  Wireshark names no file here.
+-- Return the function that reports a text.  Wireshark names no file here.
 local function reporter(name)
   return function(text) io.stderr:write(name, ": ", text, "\n") end
 end
@@ -149,7 +149,7 @@ local function register_dump(options)
 end
 
 --- Register the readers with Wireshark.  Call it once.
--- options  what dump.open needs
+-- options  of dump.open
 function M.register(options)
   register_candump("candump text (YAPP reader, automatic)", "yapp_candump_auto", "rs", false)
   register_candump("candump text (YAPP reader)", "yapp_candump", "r", true)

@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The bus on which a packet was captured, and what the capture says of packets that were dropped.
+-- The bus on which a packet was captured, and the packets that the capture dropped.
 -- Wireshark's API.
 --
 -- The file tells it (host.capture), or the reader of ours that reads the file.  In a live capture,
@@ -106,7 +106,7 @@ function Buses:are_several()
   return self.found.has_several or file_readers.log().has_several
 end
 
---- Return what the capture says of packets that were dropped: a list of { time = seconds since 1970
+--- Return the packets that the capture dropped: a list of { time = seconds since 1970
 -- or nil, frame = number of the packet behind the loss or nil, bus = name or nil, count }.
 function Buses:drops()
   local drops = self.found.drops
@@ -185,7 +185,7 @@ function Buses:of(pinfo, number, offset)
   return bus or nil, not self.is_shifted
 end
 
---- Return what a bus is called.
+--- Return the name of a bus.
 -- bus      its number; nil where the capture has one or tells none apart
 -- is_ip    whether the packet came in UDP or TCP, so by any interface
 -- returns  text, or nil where the capture names none

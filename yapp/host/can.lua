@@ -12,7 +12,7 @@ local M = {}
 
 local fields_of, START = can_id.fields, can_id.START
 local PACKET = frame_key.PACKET
--- A method that Lua has to look up in a Tvb costs more than what it does.
+-- A method that Lua has to look up in a Tvb costs more than its work.
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
 
 -- YAPP has no remote frames, but captures give a remote frame zeros as data.  So ask of a frame of
@@ -50,7 +50,7 @@ function Dissector:reset()
   self.frame = records.new_can_frame()
 end
 
--- Fill the record of the current frame; return it, and what is wanted of it.
+-- Fill the record of the current frame; return it, and its wanted parts.
 -- is_deferred  whether it comes from a tap, where Wireshark calls every packet visited
 local function fill_frame(self, tvb, reported, pinfo, tree, id, accepts_all, is_deferred)
   local frame, number, offset = self.frame, pinfo.number, self.offset or offset_of(tvb)

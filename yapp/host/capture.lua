@@ -432,7 +432,7 @@ local FORMATS = {
   ["\10\13\13\10"] = { read_pcapng },
 }
 
--- What is known of a capture ----------------------------------------------------------------------
+-- The facts of a capture --------------------------------------------------------------------------
 
 -- Complete the list of drops: add drops that only statistics say, and set the names of buses.
 local function complete_drops(self)
@@ -484,7 +484,7 @@ local function name_directions(self)
   end
 end
 
--- Set what is known once all packets have been read.
+-- Set the facts that are known once all packets have been read.
 local function conclude(self)
   name_directions(self)
   merge_sections(self)
@@ -531,7 +531,7 @@ local function new_capture()
   }, Capture)
 end
 
---- Read what a file says of its buses.  Of a file without YAPP only the first bytes are read.  One
+--- Read the buses of a file.  Of a file without YAPP only the first bytes are read.  One
 -- whose interfaces are all Ethernet or PPI is read if a packet in these bytes has a CAN frame.
 -- head  its first bytes, M.HEAD at most
 -- more  function(skip, count) -> the next bytes behind so many that are skipped, at most `count`;
@@ -631,7 +631,7 @@ function Capture:bus_by_fields(section, interface, index, event, name, direction
   return bus
 end
 
---- Return what a bus is called.
+--- Return the name of a bus.
 -- bus      nil where the capture has one
 -- is_ip    whether the packet came in UDP or TCP, so by any interface
 -- returns  text, nil where the capture has no name for it

@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What tshark's command line asks for, where the API does not say it.  Wireshark's API.
+-- The wishes of tshark's command line that the API does not tell.  Wireshark's API.
 
 local command_line = require "yapp.base.command_line"
 

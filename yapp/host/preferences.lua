@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The preferences: their names and texts, and what their values mean.  Wireshark's API.
+-- The preferences: their names and texts, and the meaning of their values.  Wireshark's API.
 
 local input = require "yapp.base.input"
 
@@ -20,7 +20,7 @@ end
 
 local is_said = {} -- by text
 
---- Say what is wrong in the preferences, each text once, although they are read with each file.
+--- Show errors in the preferences, each text once, although they are read with each file.
 -- texts  list
 function M.complain_once(texts)
   local new = {}
@@ -102,7 +102,7 @@ function M.range(text)
   return numbers
 end
 
---- Return how many periods a gap may last, a number above 0; and a list of what is wrong.
+--- Return how many periods a gap may last, a number above 0; and a list of errors.
 -- text  of the preference; if it is not a number above 0, use 2.5
 function M.late(text)
   local late = input.decimal(input.trim(text))
@@ -117,7 +117,7 @@ local before_us = {} -- [encapsulation] = its dissector before it was ours, or f
 -- names.
 -- text     of the preference
 -- proto    of the serial dissector
--- returns  a list of what is wrong
+-- returns  a list of errors
 function M.take_link_types(text, proto)
   local encapsulations = DissectorTable.get("wtap_encap")
   local wanted, other = {}, nil

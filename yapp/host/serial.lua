@@ -128,7 +128,7 @@ function Dissector:accepts(tvb, pinfo, tree)
   return is_found
 end
 
---- Return what to say of conversations whose packets hold no whole header: a list of texts.
+--- Return notes on conversations whose packets hold no whole header: a list of texts.
 function Dissector:notes()
   if not self.in_pieces[1] then return {} end
   local text = "YAPP came in pieces without a whole header: to list its packets, add %s"

@@ -37,7 +37,7 @@ local function show(dissector, tvb, pinfo, tree)
   return ok and length or tvb:len()
 end
 
---- Return what to say of packets that were not looked at: a list of texts.
+--- Return notes on packets that were not examined: a list of texts.
 function M.notes()
   if not is_ended then return {} end
   local text = "Wireshark failed at %d USB packets: those behind them were not searched"

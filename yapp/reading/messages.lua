@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- From a transfer to the message that it carries: its values, and what changed since the source's
+-- From a transfer to the message that it carries: its values, and the changes since the source's
 -- previous message.  Pure Lua.
 
 local compiler = require "yapp.message.catalogue"
@@ -13,7 +13,7 @@ local IS_BROKEN = { incomplete = true, overrun = true }
 local Messages = {}
 Messages.__index = Messages
 
---- Make what reads the messages of one capture.
+--- Make the reader of the messages of one capture.
 -- types    a message.types
 -- history  a message.history
 -- copies   a reading.copies
@@ -46,7 +46,7 @@ local function new_message(frame, transfer)
     copy_of = false, -- frame key of the message that it is a copy of, or false
     is_advised = false, -- whether Info says in full which preference decodes it
     -- Of message.history:
-    change = false, -- what changes with it, or false
+    change = false, -- the change, or false
     delta = false, -- seconds since the source's previous good message, or false
     state = false, -- the state at the message, or false if it is not known or not wanted
     -- Whether nothing is known of what came before: nothing tells its bus, or controllers share its
@@ -79,7 +79,7 @@ local function find_like(self, message)
   message.like, message.is_advised = same, advised[id] == message.key
 end
 
--- Set what the history knows of a message.
+-- Set the history's values of a message.
 local function add_history(self, message, frame)
   local change, delta
   if message.visited then

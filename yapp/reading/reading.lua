@@ -115,7 +115,7 @@ function Reading:add_frame(of_frame)
   return kind and new_frame_result(self, of_frame, kind, transfer, anomalies)
 end
 
---- Return what Reading:add_frame returned.
+--- Return the result of Reading:add_frame.
 function Reading:recall_frame(of_frame)
   local fields, bus = of_frame.can_id, of_frame.bus
   of_frame.source = self.sources[bus][fields.id]
@@ -251,7 +251,7 @@ function Reading:try_packet(packet)
   return true, earlier[1] ~= nil
 end
 
---- Return what Reading:add_packet returned; nil for a packet that was not added.
+--- Return the result of Reading:add_packet; nil for a packet that was not added.
 function Reading:recall_packet(packet)
   local contents = self.streams:find(packet)
   return contents and new_packet_result(self, packet, contents)

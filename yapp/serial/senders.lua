@@ -47,7 +47,7 @@ function M.new()
   }, Senders)
 end
 
---- Return what a sender is called.
+--- Return the name of a sender.
 -- port  nil for any
 function M.name(address, port)
   if not port then return address end
@@ -94,7 +94,7 @@ function Senders:note(address, port, time)
   sender.latest, sender.run = port, 1
 end
 
---- Return what the sender of a datagram is called: its address alone if it takes new ports.
+--- Return the name of the sender of a datagram: its address alone if it takes new ports.
 function Senders:name_of(address, port)
   return M.name(address, not self.is_changing[address] and port)
 end

@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What the packets of byte streams and datagrams hold: frames, and bytes of none.  Pure Lua.
+-- The contents of packets of byte streams and datagrams: frames, and bytes of none.  Pure Lua.
 --
 -- Packets are added once, in the order of the capture.  Revisits ask by frame key.
 --
@@ -72,7 +72,7 @@ function M.new(new_framer, can_judge)
     trials = {}, -- by key, of unknown conversations: { framer, repeats, packets }
     trial_count = 0,
     trials_by_tag = {}, -- how many, by tag of serial.lines
-    contents_by_key = {}, -- by frame key: what Streams:add returned
+    contents_by_key = {}, -- by frame key: the results of Streams:add
     seqs = {},     -- by key, of TCP: the sequence number that follows others' bytes
     gaps = {},     -- those that were not filled, see Streams:drops
   }, Streams)
@@ -206,7 +206,7 @@ local function add_segment(self, stream, contents)
   add_held(self, stream, false)
 end
 
---- Note what the header of a TCP segment says.
+--- Note the header of a TCP segment.
 -- key       of its stream
 -- opposite  key of the stream of the other direction
 -- segment   of host.tcp
@@ -316,7 +316,7 @@ local function new_contents(packet, findings)
   }
 end
 
--- Add a packet to its stream, and find out what it holds.
+-- Add a packet to its stream; return its contents.
 local function split_bytes(self, stream, contents)
   local packet, findings, framer = contents.packet, contents.findings, stream.framer
   stream.latest, stream.findings = packet, findings

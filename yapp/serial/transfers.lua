@@ -9,7 +9,7 @@ local M = {}
 local sub = string.sub
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 
--- List what is wrong with a frame, but for its CRC; false for nothing.
+-- List the errors of a frame, but for its CRC; false for none.
 local function anomalies_of(transfer)
   local list, missing = {}, transfer.missing
   if missing then

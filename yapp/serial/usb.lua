@@ -72,14 +72,14 @@ end
 local Usb = {}
 Usb.__index = Usb
 
---- Make what is known of a capture's devices.
+--- Make the facts of a capture's devices.
 function M.new()
   return setmetatable({
     devices = {}, -- by bus and address
   }, Usb)
 end
 
--- Read what a device says of itself; return nil.
+-- Read the description of a device; return nil.
 local function read_descriptors(device, data)
   local offset = 0
   while offset + 2 <= #data do
