@@ -331,7 +331,7 @@ end
 
 -- Begin the statistic of an argument of -z.  No module may be missing then, needed or not.
 local function begin_statistic(text)
-  if not later.load_all() then os.exit(EXIT_UNDECIDED) end
+  if not (gui_enabled() or later.load_all()) then os.exit(EXIT_UNDECIDED) end
   make_statistics()
   stat:begin(text)
 end

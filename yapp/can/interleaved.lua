@@ -216,7 +216,7 @@ end
 -- End an open message with these frames: with a status if it is known, else the CRC decides.
 -- index    of its candidate
 -- returns  the message
-local function award(self, index, frames, padding, status)
+local function finish_candidate(self, index, frames, padding, status)
   local candidate = table.remove(self.open, index)
   local message = candidate.message
   message.time = self.time
@@ -242,7 +242,7 @@ local function complete(self)
   end
   local newest = open[#open].message
   local frames, padding = all_since_start(self, newest, seed_of(newest))
-  if frames then return award(self, #open, frames, padding) end
+  if frames then return finish_candidate(self, #open, frames, padding) end
   for i, candidate in ipairs(open) do
     -- Let each message use its share of the credit: the oldest is usually broken, and searches most
     -- frames.
@@ -250,7 +250,7 @@ local function complete(self)
     local message = candidate.message
     local goal = { crc = message.crc, frames = {}, padding = false }
     if search(self, goal, first_behind(self, message), seed_of(message), message.size) then
-      return award(self, i, goal.frames, goal.padding)
+      return finish_candidate(self, i, goal.frames, goal.padding)
     end
   end
 end
@@ -267,7 +267,7 @@ local function end_newest(self)
   end
   local padding = padding_since_start(self, message)
   if not padding then status = self.reassembly:misfit(message, self.since) end
-  award(self, index, frames_behind(self, message), padding, status)
+  finish_candidate(self, index, frames_behind(self, message), padding, status)
 end
 
 -- Whether the pool has more bytes than all open messages can use: then none of them will be good.

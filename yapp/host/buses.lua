@@ -86,7 +86,8 @@ function Buses:init()
   local may_go_on = self.is_short and found.has_several or found.is_live
   local needs_fields = may_go_on or self.is_long_pipe and found.yapp_interfaces > 0
     or self:missed_file()
-  self.asks = needs_fields or found.has_several or not (found.is_told or self.plain_bus)
+  self.bus_is_per_packet = needs_fields or found.has_several or
+    not (found.is_told or self.plain_bus)
   if needs_fields then
     self.tap = self.tap or Listener.new("frame", FIELDS)
   elseif self.tap then
@@ -115,12 +116,14 @@ end
 
 --- Whether packets of the capture have no time stamps.
 function Buses:lacks_times()
-  return self.found.lacks_times or file_readers.log().lacks_times
+  local found = self.found
+  if found.is_told then return found.lacks_times end -- no reader of ours reads it
+  return found.lacks_times or file_readers.log().lacks_times
 end
 
 --- Whether nothing tells when packets were captured: they have no times, or those of controllers.
 function Buses:lacks_clock()
-  return self:lacks_times() or file_readers.log().lacks_clock
+  return self:lacks_times() or not self.found.is_told and file_readers.log().lacks_clock
 end
 
 --- Whether the first packets of the file have different time stamps: then these mean something.
@@ -167,8 +170,8 @@ local IN_ETHERNET = 42
 -- returns  the number of its bus, nil if the capture has only one or nothing tells it; and whether
 --          the bus is known
 function Buses:of(pinfo, number, offset)
-  local bus, name = file_readers.current()
-  local found = self.found
+  local found, bus, name = self.found, nil, nil
+  if not found.is_told then bus, name = file_readers.current() end
   if bus then
     found.names[bus] = name
     return bus, true

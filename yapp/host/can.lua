@@ -46,7 +46,8 @@ end
 function Dissector:reset()
   self.deferral:reset()
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
-  self.asks = self.buses.asks -- whether the bus of a frame has to be asked for
+  -- Whether the bus of a frame has to be asked for.
+  self.bus_is_per_packet = self.buses.bus_is_per_packet
   self.frame = records.new_can_frame()
 end
 
@@ -54,7 +55,7 @@ end
 -- is_deferred  whether it comes from a tap, where Wireshark calls every packet visited
 local function fill_frame(self, tvb, reported, pinfo, tree, id, accepts_all, is_deferred)
   local frame, number, offset = self.frame, pinfo.number, self.offset or offset_of(tvb)
-  if self.asks then
+  if self.bus_is_per_packet then
     local bus, is_bus_known = self.buses:of(pinfo, number, offset)
     frame.bus, frame.is_bus_known = bus or false, is_bus_known
   end

@@ -289,7 +289,7 @@ local function by_start(a, b) return a.from < b.from end
 
 -- Judge the open candidates whose end has come.
 -- before  the end of the stream before these bytes came
-function Framer:close(before)
+function Framer:judge_ended(before)
   if not next(self.open_by_end) then return end
   local due = {}
   for to = before + 1, self.to do
@@ -358,7 +358,7 @@ function Framer:add(bytes, is_end, findings)
   end
   self.text, self.to = self.text .. bytes, before + #bytes
   if is_end and self.telnet == "may" then self:end_telnet() end
-  self:close(before)
+  self:judge_ended(before)
   self:search()
   if is_end then
     self:settle(self.to, "end")
