@@ -231,4 +231,17 @@ function T.test_names_that_a_bus_has_with_others()
   lu.assertNil(found:name("192.168.1.13:40000", 0x300, nil))
 end
 
+-- The address that the menu of a packet writes names just this bus and ID.
+function T.test_the_address_of_each_kind_of_bus()
+  for _, bus in ipairs { "can0", "USB, left", "192.168.1.12:40000", "192.168.1.10", "[fe80::1]:14550", "fe80::1",
+    "ttyS0#rx", "usb1.6.1#tx", "8", 'a "b"' } do
+    local read, problems = sources.parse(sources.address(bus, 0x210) .. "=left", { by_name = {} })
+    lu.assertEquals(problems, {}, bus)
+    lu.assertEquals(read:name(bus, 0x210), "left", bus)
+    lu.assertTrue(read:has_part(bus, 0x210), bus)
+    lu.assertFalse(read:has_part(bus, 0x211), bus)
+    lu.assertNil(read:name("other", 0x210), bus)
+  end
+end
+
 return T

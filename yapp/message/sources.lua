@@ -226,6 +226,15 @@ function Sources:message(bus, id, interface)
   return row and row.message
 end
 
+--- Return whether a part is about an ID on a bus, or on a bus with a name that includes that one.
+-- bus  name, nil for a part without a bus
+function Sources:has_part(bus, id)
+  for _, of_bus in ipairs(bus and rows_of(self, bus) or { self.by_bus[false] }) do
+    if of_bus[id] then return true end
+  end
+  return false
+end
+
 --- Return all that was read: a list of { bus = name or nil, id = nil for all of a bus, message =
 -- compiled or nil, name = or nil }.
 function Sources:list()

@@ -86,11 +86,7 @@ end
 -- Ask for a name, in the text of the whole preference, which can be changed.
 local function ask_name(values, sources, catalogue)
   local bus, id = bus_of(values), tonumber(values["yapp.id"]:match("%d+"))
-  local is_listed = false
-  for _, row in ipairs(source_names.parse(sources, catalogue):list()) do
-    is_listed = is_listed or row.bus == bus and row.id == id
-  end
-  if not is_listed then
+  if not source_names.parse(sources, catalogue):has_part(bus, id) then
     sources = sources .. (sources == "" and "" or ", ") .. source_names.address(bus, id) .. "="
   end
   new_dialog("YAPP Name this controller", function(answer)
