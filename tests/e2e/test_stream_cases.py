@@ -452,7 +452,7 @@ def ported(packet):
     if packet.kind == "udp":
         return stream_captures.ethernet(packet, 17, struct.pack(">HHHH", *packet.ports, 8 + len(packet.data), 0) + packet.data)
     return stream_captures.ethernet(packet, 6, struct.pack(
-        ">HHIIHHHH", *packet.ports, packet.sequence, 1, 0x5018, 65535, 0, 0) + packet.data)
+        ">HHIIHHHH", *packet.ports, packet.sequence, 1, getattr(packet, "flags", 0x5018), 65535, 0, 0) + packet.data)
 
 
 def with_ports(kind, ports, fault=10):
@@ -502,6 +502,25 @@ def test_a_serial_interface_beside_ethernet_is_no_all_clear(folder):
                        lambda packet: packet.data if packet.origin.linktype == stream_captures.USER0 else ported(packet))
         done = tshark.run("-q", "-r", path, "-z", "yapp,faults", check=False)
         assert done.returncode == code and ("try -o yapp.user_dlt:147" in done.stderr) == (code == 21)
+
+
+@levels.by_version
+@PASSES
+@pytest.mark.parametrize("how, sources", [("ended", 1), ("broken off", 1), ("side by side", 2)])
+def test_a_client_that_connects_again(folder, passes, how, sources):
+    """Its system picks a new port; a client beside it is another one, even behind one address."""
+    packets, pause = [], 4 if how == "broken off" else 0
+    for index, (seconds, data) in enumerate(flight()):
+        number = index % 2 if how == "side by side" else index // 10
+        packet = Packet(data, Origin(ETHERNET, 0, 2 * number))
+        packet.sequence = 1 + 48 * (index // 2 if how == "side by side" else index % 10)
+        packet.ports, packet.kind, packet.flags = (50000 + number, 4001), "tcp", 0x5018
+        packet.flags |= how == "ended" and index == 9
+        packets.append((seconds + pause * (index // 10), packet))
+    path = written(folder, packets, ported)
+    counts, events = statistics(path, *passes)
+    assert counts == {(f"192.0.2.1:{50000 + number}", MOTOR_DATA): 20 // sources for number in range(sources)}
+    assert {row["bus"] for row in events if row["kind"] == "fault"} <= {f"192.0.2.1:{50000 + number}" for number in range(sources)}
 
 
 # docs/streams.md -------------------------------------------------------------------------------------------------

@@ -57,7 +57,7 @@ local function line_of(self, pinfo)
   local kind, from, bus, is_bus_known, time = pinfo.port_type, tostring(pinfo.src), nil, true, nil
   if not lines.is_ip(kind, from) then
     bus, is_bus_known = self.buses:of(pinfo, pinfo.number, 0)
-  elseif kind == lines.UDP and not pinfo.visited then
+  elseif not pinfo.visited then
     time = pinfo.rel_ts
   end
   local line = self.reading.lines:of(kind, from, pinfo.src_port, tostring(pinfo.dst),
@@ -164,6 +164,7 @@ local function dissect_segment(self, segment, tvb, pinfo, tree)
   local has_order = pinfo.visited or
     self.reading.streams:note_header(line.key, line.opposite, segment)
   line.is_direct = line.is_direct or segment.is_ours
+  line.is_over = line.is_over or segment.is_end
   if segment.length == 0 or not (segment.is_ours or has_order) then return end
   local bytes, wants = "", self.builder:wants(tree, pinfo, pinfo.visited)
   if tvb:len() > start then bytes = tvb:raw(start) end

@@ -12,7 +12,7 @@ local M = {}
 
 local TCP = 6 -- IP protocol
 local HEADER = 20
-local SYN, RST, ACK = 2, 4, 16 -- flags
+local FIN, SYN, RST, ACK = 1, 2, 4, 16 -- flags
 
 -- A dissector of another protocol may throw past Lua at a truncated segment.  Each time Lua loses
 -- one of its 200 nested calls for good.  So the watch ends after this many.
@@ -37,6 +37,7 @@ local function read(tvb, pinfo)
     seq = (seq + (is_syn and 1 or 0)) % 0x100000000,
     ack = band(flags, ACK) ~= 0 and ack or nil,
     is_syn = is_syn,
+    is_end = band(flags, FIN + RST) ~= 0,
     number = pinfo.number,
     epoch = pinfo.abs_ts,
     is_ours = false,
@@ -77,7 +78,7 @@ end
 --   length   number of data bytes that were sent; 0 for a reset
 --   seq      sequence number of the first one
 --   ack      sequence number that it acknowledges, or nil
---   is_syn   whether it begins a connection
+--   is_syn   whether it begins a connection; is_end = whether it ends one
 --   number, epoch  of its packet: epoch = seconds since 1970
 --   is_ours  to be set if TCP hands it to YAPP }
 function M.current(number)

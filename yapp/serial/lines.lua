@@ -8,6 +8,7 @@ local senders = require "yapp.serial.senders"
 local M = {}
 
 M.TCP, M.UDP = 2, 3 -- pinfo.port_type
+local MAX_SILENCE = 3 -- seconds, of a connection that goes on
 -- Addresses of packets without one: of a serial line, or of a raw dump, whose packets are like UDP.
 local NO_ADDRESS = { [""] = true, NONE = true }
 
@@ -25,6 +26,7 @@ function M.new(types, buses)
       return memo(function() return {} end)
     end),
     by_key = {},
+    clients = {}, -- [sender's address, receiver] = the latest line of TCP
     has_serial = false, -- whether a line is neither of UDP or TCP nor of an adapter
     sources = memo(function() return {} end), -- [sender in UDP or TCP][ID]
   }, Lines)
@@ -48,6 +50,8 @@ end
 --   interface    of UDP or TCP: the name of its interface, or nil
 --   is_tcp, is_datagram  whether it is of TCP, of UDP
 --   is_complete  whether each of its packets is complete in itself: of a raw dump
+--   latest       when its latest packet came, in seconds
+--   is_over      whether a segment of it ends the connection
 --   is_direct    whether TCP hands its bytes to YAPP; false where TLS does
 --   sources      [ID] = a source, see Lines:source; all lines of a sender share them }
 local function new_line(key, opposite, bus_key, bus)
@@ -65,23 +69,38 @@ local function new_line(key, opposite, bus_key, bus)
     is_tcp = false,
     is_datagram = false,
     is_complete = false,
+    latest = 0,
+    is_over = false,
     is_direct = false,
     sources = {},
   }
 end
 
+-- Return the sender's line to a receiver in the connection before, nil for none.  A client that
+-- connects again has a new port, and is the same source.  But two connections may go on side by
+-- side, of two clients behind one address.
+-- time  seconds, when the new connection begins; nil if it is not known
+local function line_before(self, address, to, time)
+  local before = self.clients[address .. " " .. to]
+  local is_over = before and (before.is_over or time and time - before.latest > MAX_SILENCE)
+  return is_over and before or nil
+end
+
 -- Make a line of UDP or TCP.
-local function new_ip_line(self, kind, key, address, port, to)
+local function new_ip_line(self, kind, key, address, port, to, time)
   local here = address .. ":" .. port
   local opposite = "|" .. kind .. "|" .. to .. "|" .. here
   local is_udp = kind == M.UDP
   local bus = is_udp and self.senders:name_of(address, port) or senders.name(address, port)
+  local before = not is_udp and line_before(self, address, to, time)
+  if before then bus = before.bus end
   local line = new_line(key, opposite, here < to and here .. to or to .. here, bus)
   line.trial_key = kind .. line.bus_key -- UDP and TCP may have the same ports
   line.has_address, line.is_ip = true, true
   line.is_tcp, line.is_datagram = not is_udp, is_udp
   line.interface = self.buses:name(nil, true)
   line.sources = self.sources[kind .. bus]
+  if not is_udp then self.clients[address .. " " .. to] = line end
   return line
 end
 
@@ -103,18 +122,21 @@ end
 -- from, port     address and port of the sender
 -- to, to_port    of the receiver
 -- bus            number, nil for none
--- time           of a datagram that comes for the first time, or nil
+-- time           in seconds, of a packet of UDP or TCP that comes for the first time; or nil
 function Lines:of(kind, from, port, to, to_port, bus, time)
   local lines, number = self.by_address[from][to], M.tag(kind, port, to_port)
   if bus then number = number + bus * 2 ^ 36 end
   local line = lines[number]
-  if time then self.senders:note(from, port, time) end
-  if line then return line end
+  if time and kind == M.UDP then self.senders:note(from, port, time) end
+  if line then
+    line.latest = time or line.latest
+    return line
+  end
   local here, there = from .. ":" .. port, to .. ":" .. to_port
   local key = (bus or "") .. "|" .. kind .. "|" .. here .. "|" .. there
   if M.is_ip(kind, from) then
-    line = new_ip_line(self, kind, key, from, port, there)
-    line.tag = number
+    line = new_ip_line(self, kind, key, from, port, there, time)
+    line.tag, line.latest = number, time or 0
   else
     local opposite = (bus or "") .. "|" .. kind .. "|" .. there .. "|" .. here
     line = new_serial_line(self, bus, key, opposite, kind == M.UDP)
