@@ -271,6 +271,7 @@ end)
 -- Called for a port of host.ports.
 local to_serial = Dissector.get("yapp_serial")
 server.dissector = counted(function(tvb, pinfo, root)
+  if not ports.is_of_others(pinfo) then return 0 end
   if not streams:accepts(tvb, pinfo, root) then return 0 end
   pinfo.conversation = serial
   return to_serial:call(tvb, pinfo, root)

@@ -7,10 +7,11 @@
 --   10.0.0.2:44818 -> 10.0.0.9:14550   EtherNet/IP has 44818; Wireshark asks who has 14550 first
 --
 -- So once YAPP is found in a conversation, the lower port looks for YAPP, too, unless another
--- protocol has it.
+-- protocol has it.  Packets whose other port nobody has are left to the heuristics.
 
 local M = {}
 
+local TCP = 2 -- pinfo.port_type
 local TABLES = { [true] = DissectorTable.get("tcp.port"), [false] = DissectorTable.get("udp.port") }
 
 local taken = {} -- list of { table of dissectors, port }
@@ -28,6 +29,12 @@ function M.take(is_tcp, port)
   if ports:get_dissector(port) then return end -- it may be ours already
   ports:add(port, own)
   taken[#taken + 1] = { ports, port }
+end
+
+--- Return whether another protocol has the client's port of a packet.
+function M.is_of_others(pinfo)
+  local client = math.max(pinfo.src_port, pinfo.dst_port)
+  return TABLES[pinfo.port_type == TCP]:get_dissector(client) ~= nil
 end
 
 --- Give back all ports, but those that the user has given to another protocol since.
