@@ -170,11 +170,12 @@ function T.test_headers_of_segments()
   dissect(segment(2, 24, "", nil), 2) -- SYN: its number counts
   dissect(segment(20, 20, "abc"), 3) -- RST: what it carries is no data
   dissect(segment(16, 20, "abc", 30), 4) -- cut by the capture
-  lu.assertEquals(seen[1], { offset = 54, start = 20, length = 3, seq = 0xFFFFFFFF, ack = 9, is_syn = false, number = 1,
-    epoch = 5, is_ours = false })
+  lu.assertEquals(seen[1], { offset = 54, start = 20, length = 3, seq = 0xFFFFFFFF, ack = 9, is_syn = false,
+    is_end = false, number = 1, epoch = 5, is_ours = false })
   lu.assertEquals({ seen[2].seq, seen[2].ack, seen[2].is_syn, seen[2].start, seen[2].length, seen[2].offset },
     { 0, nil, true, 24, 0, 58 })
   lu.assertEquals({ seen[3].length, seen[3].ack, seen[4].length, #seen }, { 0, 9, 10, 4 })
+  lu.assertEquals({ seen[2].is_end, seen[3].is_end }, { false, true })
   dissect(segment(16, 20, "abc"), 5, true) -- an ICMP error quotes it
   dissect(segment(16, 20, "", 40, 19), 6)
   dissect(segment(16, 16, "abcdefgh"), 7)
