@@ -93,8 +93,6 @@ export class Client {
     const { resolve, reject } = this.waiting.get(id) ?? {};
     this.waiting.delete(id);
     if (error === undefined) return resolve?.(result);
-    const failure = new Error(error);
-    failure.isFatal = isFatal;
-    reject?.(failure);
+    reject?.(Object.assign(new Error(error), { isFatal }));
   }
 }

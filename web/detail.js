@@ -1,17 +1,11 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // One frame: its tree and its bytes.  A selected item shows which bytes it is.
+import { make } from "./dom.js";
 
 const WIDTH = 16; // bytes in a line
 const OPEN = /^(Yet Another|Taurus|YAPP)/; // trees that are open at first
 
 const hex = (value, digits) => value.toString(16).padStart(digits, "0");
-
-function make(kind, className, text = "") {
-  const element = document.createElement(kind);
-  if (className) element.className = className;
-  element.textContent = text;
-  return element;
-}
 
 export class Detail {
   // tree, bytes: elements; go: function(number of a frame); selected: function(node or nothing)
@@ -29,21 +23,15 @@ export class Detail {
   // Whether an item is open is kept for the next frame, by its name: a filter without its value.
   item(node, path) {
     const key = `${path}/${node.filter.split(" ")[0] || node.label.split(/[:,=]/)[0]}`;
-    const element = make(node.children.length ? "summary" : "div", `item ${node.severity.toLowerCase()}`);
-    const label = make(node.frame ? "button" : "span", node.frame ? "link" : "", node.label);
-    if (node.frame) label.addEventListener("click", () => this.go(node.frame));
-    element.append(label);
-    element.title = node.filter;
-    element.tabIndex = 0;
-    element.addEventListener("click", () => this.choose(node));
-    element.addEventListener("focus", () => this.choose(node));
+    const choose = () => this.choose(node);
+    const label = node.frame ? make("button", { className: "link", onclick: () => this.go(node.frame) }, node.label) : node.label;
+    const element = make(node.children.length ? "summary" : "div", { className: `item ${node.severity.toLowerCase()}`,
+      title: node.filter, tabIndex: 0, onclick: choose, onfocus: choose }, label);
     this.items.push({ node, element });
     if (!node.children.length) return element;
-    const details = make("details");
-    details.open = this.open.get(key) ?? (path !== "" ? node.severity !== "" || OPEN.test(path.slice(1)) : OPEN.test(node.label));
-    details.addEventListener("toggle", () => this.open.set(key, details.open));
-    details.append(element, ...node.children.map((child) => this.item(child, key || "/")));
-    return details;
+    const open = this.open.get(key) ?? (path !== "" ? node.severity !== "" || OPEN.test(path.slice(1)) : OPEN.test(node.label));
+    const ontoggle = ({ target }) => this.open.set(key, target.open);
+    return make("details", { open, ontoggle }, element, ...node.children.map((child) => this.item(child, key || "/")));
   }
 
   choose(node) {
@@ -56,18 +44,17 @@ export class Detail {
   }
 
   dump({ name, bytes }, index, node) {
-    const block = make("pre");
+    const block = make("pre", {});
     const from = node?.source === index ? node.start : 0, to = from + (node?.source === index ? node.length : 0);
     for (let start = 0; start < bytes.length; start += WIDTH) {
-      const row = bytes.subarray(start, start + WIDTH), line = make("div");
+      const row = bytes.subarray(start, start + WIDTH);
       const first = Math.min(Math.max(from - start, 0), row.length), last = Math.min(Math.max(to - start, 0), row.length);
       const digits = Array.from(row, (one) => hex(one, 2));
       const letters = Array.from(row, (one) => one > 31 && one < 127 ? String.fromCharCode(one) : ".");
-      line.append(`${hex(start, 4)}  `, ...marked(digits, first, last, " "), " ".repeat((WIDTH - row.length) * 3 + 2),
-        ...marked(letters, first, last, ""));
-      block.append(line);
+      block.append(make("div", {}, `${hex(start, 4)}  `, ...marked(digits, first, last, " "),
+        " ".repeat((WIDTH - row.length) * 3 + 2), ...marked(letters, first, last, "")));
     }
-    return [make("h3", "", name), block];
+    return [make("h3", {}, name), block];
   }
 }
 
@@ -75,5 +62,5 @@ export class Detail {
 function marked(texts, first, last, between) {
   if (first >= last) return [texts.join(between)];
   const before = texts.slice(0, first).join(between), after = texts.slice(last).join(between);
-  return [before + (before && between), make("mark", "", texts.slice(first, last).join(between)), (after && between) + after];
+  return [before + (before && between), make("mark", {}, texts.slice(first, last).join(between)), (after && between) + after];
 }

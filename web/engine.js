@@ -73,8 +73,7 @@ export class Engine {
   }
 
   about() {
-    return { version: this.lib.wiresharkVersion(), columns: list(this.lib.getColumns()),
-      statistics: this.statistics, preferences: this.preferences() };
+    return { version: this.lib.wiresharkVersion(), columns: list(this.lib.getColumns()), statistics: this.statistics };
   }
 
   // Show a file to Wireshark without a copy of it in memory.

@@ -36,9 +36,13 @@ export class Filter {
     const options = found.length ? found.map(({ filter: name, name: title }) => new Option(title, front + name))
       : history().map((one) => new Option("used before", one));
     this.names.replaceChildren(...options);
+    this.color(filter, problem);
+    if (!problem) this.error.textContent = "";
+  }
+
+  color(filter, problem) {
     this.field.classList.toggle("good", filter.trim() !== "" && !problem);
     this.field.classList.toggle("bad", problem !== "");
-    if (!problem) this.error.textContent = "";
   }
 
   // Apply a filter, if it is one.
@@ -46,8 +50,7 @@ export class Filter {
     filter = filter.trim();
     this.field.value = filter;
     const problem = await this.check(filter);
-    this.field.classList.toggle("bad", problem !== "");
-    this.field.classList.toggle("good", filter !== "" && !problem);
+    this.color(filter, problem);
     this.error.textContent = problem;
     if (problem) return;
     if (filter) remember(filter);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The packet list.  Only rows in sight exist; the others are asked for when they come into sight.
 import { elementScroll, observeElementOffset, observeElementRect, Virtualizer } from "@tanstack/virtual-core";
+import { make } from "./dom.js";
 
 const ROW = 22; // pixels, as in the style sheet
 const HIGHEST = 8e6; // pixels: browsers cannot draw higher elements
@@ -74,17 +75,11 @@ export class List {
   }
 
   row(index, top) {
-    const row = this.at(index), element = document.createElement("div");
-    element.className = index === this.index ? "row chosen" : "row";
-    element.role = "row";
-    element.id = `row${index}`;
-    element.ariaRowIndex = index + 2;
-    element.ariaSelected = index === this.index;
+    const row = this.at(index), isChosen = index === this.index;
+    const element = make("div", { className: isChosen ? "row chosen" : "row", role: "row", id: `row${index}`,
+      ariaRowIndex: index + 2, ariaSelected: isChosen }, ...(row?.cells ?? []).map((text) => cell(text, "gridcell")));
     element.style.transform = `translateY(${top}px)`;
-    if (row) {
-      element.append(...row.cells.map((text) => cell(text, "gridcell")));
-      if (row.background > 1) Object.assign(element.style, { background: css(row.background), color: css(row.foreground) });
-    }
+    if (row?.background > 1) Object.assign(element.style, { background: css(row.background), color: css(row.foreground) });
     return element;
   }
 
@@ -138,10 +133,4 @@ export class List {
   }
 }
 
-function cell(text, role) {
-  const element = document.createElement("span");
-  element.role = role;
-  element.textContent = text;
-  element.title = text;
-  return element;
-}
+const cell = (text, role) => make("span", { role, title: text }, text);

@@ -2,6 +2,7 @@
 // The page: opens captures, and keeps what is seen in its link, #file=...&frame=...&filter=...&statistic=...
 import { Cancelled, Client, getFile } from "./client.js";
 import { Detail } from "./detail.js";
+import { make } from "./dom.js";
 import { Filter } from "./filter.js";
 import { List } from "./list.js";
 import { linesOf, Preferences } from "./preferences.js";
@@ -21,10 +22,7 @@ const state = { file: null, opened: null, filter: "", frame: 0, preferences: {},
 
 function notice(text) {
   if ([...$("notices").children].some((one) => one.firstChild.textContent === text)) return;
-  const line = document.createElement("p"), close = document.createElement("button");
-  line.append(document.createTextNode(text), close);
-  close.textContent = "Dismiss";
-  close.addEventListener("click", () => line.remove());
+  const line = make("p", {}, text, make("button", { onclick: () => line.remove() }, "Dismiss"));
   $("notices").append(line);
 }
 
@@ -60,14 +58,10 @@ function partial() {
 let written = "";
 
 function keepLink() {
-  const link = new URLSearchParams();
-  const add = (name, value) => { if (value) link.set(name, value); };
-  add("file", state.file?.link);
-  add("frame", state.frame);
-  add("filter", state.filter);
-  add("statistic", statistics.name && [statistics.name, ...(statistics.options ? [statistics.options] : [])].join(","));
-  add("messages", state.messagesLink);
-  for (const [name, value] of Object.entries(state.preferences)) link.set(name, value);
+  const { file, frame, filter: text, messagesLink: messages } = state;
+  const statistic = [statistics.name, statistics.options].filter(Boolean).join(",");
+  const seen = Object.entries({ file: file?.link, frame, filter: text, statistic, messages }).filter(([, value]) => value);
+  const link = new URLSearchParams([...seen, ...Object.entries(state.preferences)]);
   written = link.size ? `#${link}` : "";
   history.replaceState(null, "", written || location.pathname + location.search);
 }
@@ -238,24 +232,16 @@ async function begin() {
   $("loading").textContent = "Loading Wireshark, about 20 MB ...";
   await client.load();
   $("loading").textContent = "";
-  for (const [group, title, text, comment] of client.plugin.buttons) {
-    const option = new Option(title, text);
-    option.title = comment;
-    let parent = [...$("buttons").children].find(({ label }) => label === group);
-    if (!parent) {
-      parent = Object.assign(document.createElement("optgroup"), { label: group });
-      $("buttons").append(parent);
-    }
-    parent.append(option);
+  for (const [label, rows] of Object.entries(Object.groupBy(client.plugin.buttons, ([group]) => group))) {
+    const options = rows.map(([, text, value, title]) => make("option", { text, value, title }));
+    $("buttons").append(make("optgroup", { label }, ...options));
   }
   await followLink();
   for (const argument of state.about.statistics) {
     const name = argument.split(",")[1];
     if (!name || name === "csv") continue;
-    const button = document.createElement("button");
-    button.textContent = name[0].toUpperCase() + name.slice(1);
-    button.addEventListener("click", () => { if (state.opened) statistics.show(name); });
-    $("statistics").append(button);
+    const onclick = () => { if (state.opened) statistics.show(name); };
+    $("statistics").append(make("button", { onclick }, name[0].toUpperCase() + name.slice(1)));
   }
   document.body.dataset.ready = Math.round(performance.now());
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The plugin's preferences, as Wireshark has them, and the user's own messages.
+import { make } from "./dom.js";
 
 const FIRST = ["sources", "late", "all_extended", "hide_source"]; // in front of the others
 
@@ -10,14 +11,9 @@ export function linesOf(changed) {
 
 function input({ value, isSwitch, choices }) {
   if (choices.length) {
-    const element = document.createElement("select");
-    element.append(...choices.map((one) => new Option(one.description, one.name, false, one.selected)));
-    return element;
+    return make("select", {}, ...choices.map((one) => new Option(one.description, one.name, false, one.selected)));
   }
-  const element = document.createElement("input");
-  if (isSwitch) Object.assign(element, { type: "checkbox", checked: value === "TRUE" });
-  else Object.assign(element, { value, size: 40, spellcheck: false });
-  return element;
+  return make("input", isSwitch ? { type: "checkbox", checked: value === "TRUE" } : { value, size: 40, spellcheck: false });
 }
 
 const valueOf = (element) => element.type === "checkbox" ? String(element.checked).toUpperCase() : element.value;
@@ -44,11 +40,9 @@ export class Preferences {
     const place = ({ name }) => FIRST.includes(name) ? FIRST.indexOf(name) : FIRST.length;
     const shown = preferences.filter(({ name }) => name !== "messages").sort((a, b) => place(a) - place(b));
     this.rows.replaceChildren(...shown.map((one) => {
-      const label = document.createElement("label"), about = document.createElement("small"), element = input(one);
-      about.textContent = one.description;
-      label.append(one.title, element, about);
+      const element = input(one);
       this.inputs.set(one.name, { element, before: valueOf(element) });
-      return label;
+      return make("label", {}, one.title, element, make("small", {}, one.description));
     }));
     this.file.value = "";
     this.dialog.returnValue = "";

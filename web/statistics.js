@@ -1,18 +1,12 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The answers of the plugin's statistics: tables of its JSON lines, and what it says besides.
+import { make } from "./dom.js";
 
 const KNOWN = ["kind", "ok", "rule", "time", "frame", "bus", "id", "source", "message"]; // columns that come first
 const IDENTITY = ["bus", "id", "source", "message", "field", "unit"]; // of a row, repeated for what is in it
 const MOST_ROWS = 5000; // of a table: more make the page slow
 const VERDICTS = { true: "ok", false: "FAILED", null: "NOT JUDGED" };
 const HELP = { check: "Rules, such as fault=0,motor.rate=9..11; empty: check everything" };
-
-function make(kind, className, ...content) {
-  const element = document.createElement(kind);
-  if (className) element.className = className;
-  element.append(...content);
-  return element;
-}
 
 const utc = (seconds) => new Date(Math.floor(seconds * 1000)).toISOString().slice(0, 19).replace("T", " ") +
   (seconds % 1).toFixed(6).slice(1);
@@ -101,28 +95,26 @@ export class Statistics {
     const partial = this.partial();
     title.textContent = isText ? `${name}, as in Wireshark` : `${name}: ${headline(name, lines)}`;
     title.className = /FAILED|NOT/.test(title.textContent) ? "bad" : "";
-    notes.replaceChildren(...[...(partial ? [partial] : []), ...texts].map((one) => make("p", "note", one)));
-    tables.replaceChildren(...(isText ? [make("pre", "", answer)] : tablesOf(lines).map((table) => this.table(table))));
+    notes.replaceChildren(...[...(partial ? [partial] : []), ...texts].map((one) => make("p", { className: "note" }, one)));
+    tables.replaceChildren(...(isText ? [make("pre", {}, answer)] : tablesOf(lines).map((table) => this.table(table))));
     return lines;
   }
 
   table({ keys, rows }) {
     const columns = [...KNOWN.filter((key) => keys.includes(key)), ...keys.filter((key) => !KNOWN.includes(key))]
       .filter((key) => rows.some((row) => text(key, row[key]) !== ""));
-    const head = make("tr", "", ...columns.map((key) => make("th", "", key.replaceAll("_", " "))));
+    const head = make("tr", {}, ...columns.map((key) => make("th", {}, key.replaceAll("_", " "))));
     const order = (row) => row.ok === false ? 0 : row.ok === null ? 1 : 2;
-    const body = [...rows].sort((a, b) => order(a) - order(b)).slice(0, MOST_ROWS).map((row) => make("tr", row.ok === false ? "bad" : "",
+    const body = [...rows].sort((a, b) => order(a) - order(b)).slice(0, MOST_ROWS).map((row) => make("tr", { className: row.ok === false ? "bad" : "" },
       ...columns.map((key) => this.cell(key, row[key]))));
     const rest = rows.length > MOST_ROWS ? `The first ${MOST_ROWS} of ${rows.length} lines; a filter= shows others` : "";
-    return make("table", "", make("caption", "", rest), make("thead", "", head), make("tbody", "", ...body));
+    return make("table", {}, make("caption", {}, rest), make("thead", {}, head), make("tbody", {}, ...body));
   }
 
   cell(key, value) {
     const content = text(key, value);
-    if (!/frame$/.test(key) || !content) return make("td", typeof value === "number" ? "number" : "", content);
-    const link = make("button", "link", content);
-    link.title = `Go to frame ${content}`;
-    link.addEventListener("click", () => this.go(value));
-    return make("td", "number", link);
+    if (!/frame$/.test(key) || !content) return make("td", { className: typeof value === "number" ? "number" : "" }, content);
+    const link = { className: "link", title: `Go to frame ${content}`, onclick: () => this.go(value) };
+    return make("td", { className: "number" }, make("button", link, content));
   }
 }
