@@ -383,7 +383,10 @@ def run(what: str, purge: bool = False, program: str | None = None) -> int:
             found = list(problems(source, wireshark))
             if what == "install" and not found:
                 flight = source / "docs/flight.pcapng"
-                say("next", f"wireshark -C YAPP {flight if flight.is_file() else 'CAPTURE.pcapng'}")
+                capture = flight if flight.is_file() else "CAPTURE.pcapng"
+                has_window = shutil.which("wireshark") or not shutil.which("tshark")
+                command = f"wireshark -C YAPP {capture}" if has_window else f"tshark -q -r {capture} -z yapp,faults"
+                say("next", command)
     except (Problem, OSError, subprocess.SubprocessError) as problem:
         found = [str(problem)]
     sys.stdout.flush()  # what is wrong comes last, in a log too
