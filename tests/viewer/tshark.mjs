@@ -22,6 +22,9 @@ for (const folder of [work, join(work, "home")]) chmodSync(folder, 0o777);
 
 const COLUMNS = files["CONFIGURATION/preferences"].match(/gui\.column\.format:\s*((?:\s*".*\n)+)/)[1].replace(/\s*\n\s*/g, " ").trim();
 
+// What the profile sets of the plugin, as options.
+const PROFILE = [...files["CONFIGURATION/preferences"].matchAll(/^(yapp\.\w+): (.*)$/gm)].flatMap(([, name, value]) => ["-o", `${name}:${value}`]);
+
 // captures: paths below the repository
 export const captures = readdirSync(join(TOP, "test_captures"), { recursive: true }).filter((name) => KINDS.test(name)).sort()
   .map((name) => join(TOP, "test_captures", name)).filter((path) => statSync(path).isFile());
@@ -53,12 +56,12 @@ export const version = (() => {
 
 // The packet list with the profile's columns: a text for each frame, cells with tabs between.
 export const list = (path, messages) =>
-  tshark(path, ["-2", "-Y", "frame", "-T", "tabs", "-o", `gui.column.format:${COLUMNS}`, "-o", "yapp.hide_source:TRUE"], messages);
+  tshark(path, ["-2", "-Y", "frame", "-T", "tabs", "-o", `gui.column.format:${COLUMNS}`, ...PROFILE], messages);
 
 // The tree of each frame: lists of lines, indented by 4 blanks a level.
 export function trees(path, messages) {
   const frames = [];
-  for (const line of tshark(path, ["-2", "-Y", "frame", "-V", "-o", "yapp.hide_source:TRUE"], messages).lines) {
+  for (const line of tshark(path, ["-2", "-Y", "frame", "-V", ...PROFILE], messages).lines) {
     if (/^(Frame|PCAPNG Custom Block) \d+: /.test(line)) frames.push([]);
     else if (/^[0-9a-f]{4}  /.test(line)) continue; // a dump of the bytes of "Data"
     frames.at(-1)?.push(line);
