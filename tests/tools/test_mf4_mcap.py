@@ -95,9 +95,14 @@ def test_mcap(converted):
     encoding, schema = schemas["motor"]
     assert encoding == "jsonschema"
     assert schema["properties"]["rpm_measured"] == {
-        "type": "number", "description": "Measured speed [RPM]", "unit": "RPM", "filter": "taurus.motor.rpm",
+        "type": "number", "title": "Measured speed", "description": "Measured speed [RPM]",
+        "unit": "RPM", "filter": "taurus.motor.rpm",
     }  # fmt: skip
-    assert schema["properties"]["motor_mode"]["oneOf"][1] == {"title": "Speed Mode", "const": 1}
+    # An enum as Foxglove's own schemas have it: a title, a description, and constants with titles.
+    mode = schema["properties"]["motor_mode"]
+    assert (mode["title"], mode["description"]) == ("Motor mode", "Motor mode")
+    assert mode["oneOf"][1] == {"title": "Speed Mode", "const": 1}
+    assert (schema["title"], schema["description"]) == ("motor", "Motor Data")
     assert metadata["flight"]["messages"] == "10"
     assert metadata["flight"]["start"] == "2023-11-14 22:13:20.000000001Z"
     assert [row[2].get("text") for row in found if row[0].startswith("/note")] == [

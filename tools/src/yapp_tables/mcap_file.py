@@ -61,14 +61,16 @@ def _schema(table: Table, names: Sequence[str]) -> dict[str, Any]:
     """A JSON schema as Foxglove reads it: an enum is a `oneOf` of constants with titles."""
     known = {column.name: column for column in table.columns}
     properties = {name: _property(known.get(name) or Column(name, table.schema.field(name).type, "")) for name in names}
-    return {"title": table.message.name, "type": "object", "properties": properties}
+    about = {"title": table.message.name, "description": table.message.title}
+    return about | {"type": "object", "properties": properties}
 
 
 def _property(column: Column) -> dict[str, Any]:
-    """Its title is the field's with its unit; `unit` and `filter` stand by themselves, too."""
+    """Its title is the field's, its description has the unit, too; `unit` and `filter` stand by themselves."""
     unit = "s" if column.type == DURATION else column.unit
-    about: dict[str, Any] = {"type": _type(column.type)}
-    about["description"] = (column.title or column.name) + (f" [{unit}]" if unit else "")
+    title = column.title or column.name
+    about: dict[str, Any] = {"type": _type(column.type), "title": title}
+    about["description"] = f"{title} [{unit}]" if unit else title
     about |= {key: text for key, text in (("unit", unit), ("filter", column.filter)) if text}
     if column.values:
         about["oneOf"] = [{"title": text, "const": number} for number, text in column.values.items()]
