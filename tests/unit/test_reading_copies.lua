@@ -122,4 +122,18 @@ function T.test_the_first_message_of_a_capture_twice()
   end
 end
 
+-- Some programs give one stamp to all that they send: equal Commands are no copies of the first one, once another
+-- source shows that time goes on.  A source whose stamps go on later is a usual one.
+function T.test_a_source_whose_stamps_stand_still()
+  local sent, other = { id = 0, message = { every = 0.2 } }, {}
+  local rows = {}
+  for i = 0, 5 do
+    rows[#rows + 1] = { 0, "command", sent }
+    rows[#rows + 1] = { 5 + i / 10, "m" .. i }
+  end
+  lu.assertEquals(found(rows), { "-", "-", 1, "-", "-", "-", "-", "-", "-", "-", "-", "-" })
+  lu.assertEquals(found { { 0, "a", sent }, { 0, "a", sent }, { 0.05, "m", other }, { 0.1, "n", other },
+    { 0.2, "a", sent }, { 0.2, "a", sent } }, { "-", 1, "-", "-", "-", 5 })
+end
+
 return T

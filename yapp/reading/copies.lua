@@ -23,7 +23,9 @@ function M.new(buses)
     is_timed = not buses:lacks_clock(),
     -- If not, at the time of the first packet it is not known yet whether times advance.
     stamps_differ = buses:stamps_differ(),
-    by_source = {}, -- [source] = list of its latest messages that are no copies, see new_entry
+    by_source = {}, -- [source] = list of its latest messages that are no copies, see new_list
+    count = 0, -- of messages
+    advanced = 0, -- number of the latest one that came 20 ms before another of its source
     originals = {}, -- [frame key of a copy] = that of its original, for revisits
   }, Copies)
 end
@@ -47,6 +49,29 @@ local function keep(list, message, distance)
   local entry = #list < MAX_KEPT and {} or table.remove(list, 1)
   fill(entry, message)
   list[#list + 1] = entry
+end
+
+-- Make the list of a source: entries, and what its time stamps are.
+local function new_list(number, time)
+  return {
+    first = number, -- of its first message
+    start = time, -- of its first message
+    is_moving = false, -- whether another stamp came
+    number = number, -- of its latest message
+    time = time,
+  }
+end
+
+-- Note the next message of a source.
+-- returns  whether its stamp means nothing: the source has had one stamp, as some programs give
+--          all that they send, while others of the capture advanced
+local function note(self, list, number, time)
+  if time - list.time >= MAX_DISTANCE and list.number > self.advanced then
+    self.advanced = list.number
+  end
+  list.is_moving = list.is_moving or time ~= list.start
+  list.number, list.time = number, time
+  return not list.is_moving and self.advanced > list.first
 end
 
 -- Return the frame key of an equal message that is near, nil for none.
@@ -77,12 +102,15 @@ function Copies:find(message, is_only_pass)
   local of_type = source.message
   local distance = of_type and of_type.every or 1
   distance = min(MAX_DISTANCE, distance / 2) - HALF_NANOSECOND
+  local number = self.count + 1
+  self.count = number
   local list = self.by_source[source]
   if not list then
-    list = {}
+    list = new_list(number, time)
     self.by_source[source] = list
   end
-  local original = self:can_judge(time) and find_in(list, message, distance) or nil
+  local means_nothing = note(self, list, number, time) or not self:can_judge(time)
+  local original = not means_nothing and find_in(list, message, distance) or nil
   -- A read filter may have dropped a copy whose number this packet has.
   if not is_only_pass and original ~= self.originals[message.key] then
     self.originals[message.key] = original
