@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Finds packets of a byte stream that the recorder holds twice, as with `-i any` or a mirror port.
+-- Finds datagrams of a byte stream that the recorder holds twice, as with `-i any` or a mirror port.
 -- Pure Lua.
 --
 -- Frames are cut over packets, so copies must not come between the bytes of their originals:

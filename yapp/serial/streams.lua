@@ -12,8 +12,8 @@
 -- A datagram of whole frames is complete in itself.  Other datagrams are a byte stream, as of a
 -- bridge from a serial line, which cuts where it likes.  A lost one costs the frames it cut.
 --
--- A byte stream may be recorded twice: the copies of its packets are another stream, of which only
--- good frames count.
+-- Such datagrams may be recorded twice: the copies are another stream, of which only good frames
+-- count.
 --
 -- A conversation may be unknown when its first bytes come: they are on trial.
 
@@ -267,7 +267,7 @@ end
 -- is_alone  whether the packet is complete in itself: then the messages in it tell what is a copy
 local function stream_of(self, packet, is_alone)
   local key = packet.stream
-  if packet.is_tcp or is_alone then return self.by_key[key], false end
+  if is_alone or not packet.is_datagram then return self.by_key[key], false end
   local number = self.repeats:copy_number(packet)
   if number == 0 then return self.by_key[key], false end
   return self.copies_by_key[key .. "|" .. number], true
@@ -481,7 +481,8 @@ local function was_had(trial, packet, is_proved)
   local packets = trial.packets
   local latest = packets[#packets]
   if latest and latest.key == packet.key then return true end
-  if is_proved or packet.is_tcp or trial.repeats:copy_number(packet) == 0 then return false end
+  if is_proved or not packet.is_datagram then return false end
+  if trial.repeats:copy_number(packet) == 0 then return false end
   packets[#packets + 1] = packet
   return true
 end
