@@ -8,7 +8,7 @@
 
 local M = {}
 
-local abs, min = math.abs, math.min
+local abs, max, min = math.abs, math.max, math.min
 local MAX_DISTANCE = 0.02 -- seconds
 local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
 local MAX_KEPT = 16 -- messages of a source within this time
@@ -23,9 +23,10 @@ function M.new(buses)
     is_timed = not buses:lacks_clock(),
     -- If not, at the time of the first packet it is not known yet whether times advance.
     stamps_differ = buses:stamps_differ(),
-    by_source = {}, -- [source] = list of its latest messages that are no copies, see new_list
-    count = 0, -- of messages
-    advanced = 0, -- number of the latest one that came 20 ms before another of its source
+    -- [source] = list of its latest messages that are no copies, and
+    --   start   when the first one came
+    --   others  when other sources' latest messages came, see stands_still; nil until it is asked
+    by_source = {},
     originals = {}, -- [frame key of a copy] = that of its original, for revisits
   }, Copies)
 end
@@ -51,36 +52,32 @@ local function keep(list, message, distance)
   list[#list + 1] = entry
 end
 
--- Make the list of a source: entries, and what its time stamps are.
-local function new_list(number, time)
-  return {
-    first = number, -- of its first message
-    start = time, -- of its first message
-    is_moving = false, -- whether another stamp came
-    number = number, -- of its latest message
-    time = time,
-  }
+-- Return when the latest of some messages came.
+local function latest_of(list)
+  local latest = list.start
+  for _, entry in ipairs(list) do latest = max(latest, entry.time) end
+  return latest
 end
 
--- Note the next message of a source.
--- returns  whether its stamp means nothing: the source has had one stamp, as some programs give
---          all that they send, while others of the capture advanced
-local function note(self, list, number, time)
-  if time - list.time >= MAX_DISTANCE and list.number > self.advanced then
-    self.advanced = list.number
+-- Whether the stamps of a source mean nothing: it has had one stamp, as some programs give all that
+-- they send, while another source advanced.  It is asked at each copy with that stamp.
+local function stands_still(self, list)
+  local before, now = list.others, {}
+  for source, other in pairs(self.by_source) do
+    now[source] = latest_of(other)
+    if before and now[source] - (before[source] or other.start) >= MAX_DISTANCE then return true end
   end
-  list.is_moving = list.is_moving or time ~= list.start
-  list.number, list.time = number, time
-  return not list.is_moving and self.advanced > list.first
+  list.others = before or now
+  return false
 end
 
 -- Return the frame key of an equal message that is near, nil for none.
-local function find_in(list, message, distance)
+local function find_in(self, list, message, distance)
   local bad_crc = bad_crc_of(message)
   for _, entry in ipairs(list) do
     local is_equal = entry.payload == message.payload and entry.seq == message.seq
     if is_equal and entry.bad_crc == bad_crc and abs(message.time - entry.time) < distance then
-      return entry.key
+      return not (message.time == list.start and stands_still(self, list)) and entry.key or nil
     end
   end
 end
@@ -102,15 +99,12 @@ function Copies:find(message, is_only_pass)
   local of_type = source.message
   local distance = of_type and of_type.every or 1
   distance = min(MAX_DISTANCE, distance / 2) - HALF_NANOSECOND
-  local number = self.count + 1
-  self.count = number
   local list = self.by_source[source]
   if not list then
-    list = new_list(number, time)
+    list = { start = time, others = nil }
     self.by_source[source] = list
   end
-  local means_nothing = note(self, list, number, time) or not self:can_judge(time)
-  local original = not means_nothing and find_in(list, message, distance) or nil
+  local original = self:can_judge(time) and find_in(self, list, message, distance) or nil
   -- A read filter may have dropped a copy whose number this packet has.
   if not is_only_pass and original ~= self.originals[message.key] then
     self.originals[message.key] = original

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Finds datagrams of a byte stream that the recorder holds twice, as with `-i any` or a mirror port.
--- Pure Lua.
+-- Finds datagrams of a byte stream that the recorder holds twice, as with `-i any` or a mirror
+-- port.  Pure Lua.
 --
 -- Frames are cut over packets, so copies must not come between the bytes of their originals:
 --   packet 1  |start of A|    packet 2  the same    packet 3  |end of A|    packet 4  the same
