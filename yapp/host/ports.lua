@@ -34,7 +34,8 @@ end
 --- Return whether another protocol has the client's port of a packet.
 function M.is_of_others(pinfo)
   local client = math.max(pinfo.src_port, pinfo.dst_port)
-  return TABLES[pinfo.port_type == TCP]:get_dissector(client) ~= nil
+  local ports = pinfo.port_type == TCP and TABLES[true] or TABLES[false]
+  return ports:get_dissector(client) ~= nil
 end
 
 --- Give back all ports, but those that the user has given to another protocol since.
