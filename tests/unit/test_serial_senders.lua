@@ -102,12 +102,21 @@ end
 function T.test_options()
   local function options_of(bytes) return senders.options(senders.conversations(bytes)) end
   local function tcp(ports, rest)
-    return "any" .. "\69\0\0\76\0\0\0\0\64\6\0\0\192\168\1\10\192\168\1\20" .. ports .. ("\0"):rep(16) .. rest .. FRAME
+    local words = string.char((20 + #rest) / 4 * 16) -- the size of the header
+    return "any" .. "\69\0\0\76\0\0\0\0\64\6\0\0\192\168\1\10\192\168\1\20" .. ports .. ("\0"):rep(8) .. words ..
+      ("\0"):rep(7) .. rest .. FRAME
   end
   lu.assertEquals(options_of(ipv4(40000) .. ipv4(40001) .. FRAME), { "-d udp.port==14550,yapp_serial" })
   lu.assertEquals(options_of(tcp("\15\161\195\80", "") .. tcp("\195\80\15\162", ("\1"):rep(12))),
     { "-d tcp.port==4001,yapp_serial", "-d tcp.port==4002,yapp_serial" })
   lu.assertEquals(options_of("any" .. FRAME), {})
+  -- Bytes of the packet before that look like IPv6 with TCP: 40 bytes, and a header of 20.
+  local function before(length, words)
+    return "any\96\0\0\0" .. length .. "\6" .. ("\0"):rep(33) .. ("\0"):rep(12) .. words .. ("\0"):rep(7) .. FRAME
+  end
+  lu.assertEquals(options_of(before("\0\52", "\80")), { "-d tcp.port==0,yapp_serial" })
+  lu.assertEquals(options_of(before("\0\52", "\70")), {})
+  lu.assertEquals(options_of(before("\199\52", "\80")), {})
 end
 
 return T

@@ -12,6 +12,7 @@ local M = {}
 local byte, sub = string.byte, string.sub
 
 local UDP, UDP_HEADER, TCP = 17, 8, 6
+local MAX_LENGTH = 0x2400 -- of an IPv6 payload: 9,216 bytes
 -- A sender changes its port if it has so many ports, each with few datagrams in a row, and hardly
 -- one comes back.  While a capture goes on, more of them are needed, and more time: several
 -- controllers behind one address may send for the first time, and all do so again within a second.
@@ -128,7 +129,9 @@ local function addresses_before(bytes, index, protocol)
     return ipv4_text(bytes, v4 + 12), ipv4_text(bytes, v4 + 16)
   end
   local version = v6 > 0 and byte(bytes, v6) or 0
-  if version - version % 16 == 0x60 and byte(bytes, v6 + 6) == protocol then
+  local is_v6 = version - version % 16 == 0x60 and byte(bytes, v6 + 6) == protocol
+  -- Bytes of another packet may look like that: of 4,000 packets one does.
+  if is_v6 and byte(bytes, v6 + 4) * 256 + byte(bytes, v6 + 5) <= MAX_LENGTH then
     return ipv6_text(sub(bytes, v6 + 8, v6 + 23)), ipv6_text(sub(bytes, v6 + 24, v6 + 39))
   end
 end
@@ -161,6 +164,13 @@ end
 -- Headers in front of a frame: without and with TCP's usual option.
 local BEFORE = { { UDP, UDP_HEADER }, { TCP, 20 }, { TCP, 32 } }
 
+-- Whether a header has its size in front of the frame: TCP says it, in words of four bytes.
+local function has_size(bytes, index, row)
+  if row[1] ~= TCP then return true end
+  local offset = byte(bytes, index + 12)
+  return (offset - offset % 16) / 4 == row[2]
+end
+
 --- Return the conversations that have frames in the first bytes of a file.
 -- returns  list of {
 --   is_tcp
@@ -171,7 +181,10 @@ function M.conversations(bytes)
   for start in frames_in(bytes) do
     for _, row in ipairs(BEFORE) do
       local index = start - row[2]
-      local from, to = addresses_before(bytes, index, row[1])
+      local from, to
+      if index > 0 and has_size(bytes, index, row) then
+        from, to = addresses_before(bytes, index, row[1])
+      end
       local a, b, c, d = byte(bytes, index, index + 3)
       local port, other = from and a * 256 + b, from and c * 256 + d
       local key = from and table.concat({ row[1], from, port, to, other }, " ")
