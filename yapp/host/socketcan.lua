@@ -145,8 +145,9 @@ local ORIGINS = {
 local origins -- [value] = { inner = dissector, is_little, dissectors = its table }, while it reads
 
 --- Read the CAN header of every frame from now on.
--- proto  a Proto for the wrapper
-function M.wrap(proto)
+-- proto          a Proto for the wrapper
+-- is_first_pass  whether only frames that are new are read: the first one that is not ends it
+function M.wrap(proto, is_first_pass)
   if origins then return end
   origins = {}
   function proto.dissector(tvb, pinfo, tree)
@@ -158,6 +159,7 @@ function M.wrap(proto)
     local can_id = header_id(tvb, origin.is_little or is_swapped)
     header.number = pinfo.number
     header.can_id = can_id
+    if is_first_pass and pinfo.visited then M.unwrap() end
     return hand_on(origin.inner, can_id, tvb, pinfo, tree)
   end
   for _, row in ipairs(ORIGINS) do
