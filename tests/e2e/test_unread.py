@@ -42,7 +42,7 @@ def test_another_that_cannot(options, said):
 # The plugin fails --------------------------------------------------------------------------------------------------------
 
 # Where an error is planted: behind the first line of a function.
-PLACES = [("yapp/stat/derive.lua", "function Deriver:take(event, now)"),  # in taps of packets
+PLACES = [("yapp/stat/derive.lua", "function Deriver:take("),  # in taps of packets
           ("yapp/stat/queue.lua", "function Queue:packet(number, rel, lacks_clock)")]
 
 
@@ -76,7 +76,7 @@ def test_a_lua_error_in_a_tap(folder, path, line, what):
 @pytest.mark.parametrize("what", ["check", "faults", "csv,-,motor"])
 def test_a_lua_error_in_a_dissector(folder, what):
     """In the frame that ends a message: with it the message is lost."""
-    script = planted(folder, "yapp.lua", "function yapp.init()", FAILING_DISSECTOR)
+    script = planted(folder, "yapp.lua", "local function reset_reading()", FAILING_DISSECTOR)
     done = tshark.run("-X", f"lua_script:{script}", "-q", "-r", CLEAN, "-z", f"yapp,{what}", check=False, plugin=False,
                       lua_errors=True)
     assert done.returncode == (20 if what == "check" else 21) and told(done, what, "the plugin failed")
