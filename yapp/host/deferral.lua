@@ -4,7 +4,7 @@
 -- header.  Wireshark's API.
 --
 -- A frame:
---   nobody accepts it ─────────► NOTED ────► the tap counts it, and reports what may be a message
+--   no dissector accepts it ───► NOTED ────► the tap counts it, and reports what may be a message
 --   its id is not known, or ───► DEFERRED ─► the tap dissects it, unless it is no data frame
 --   whether it is remote
 --
@@ -92,7 +92,7 @@ function Deferral:decide(wants)
   end
 end
 
---- Note a frame that nobody has accepted yet.
+--- Note a frame that no dissector has accepted yet.
 -- returns  whether a tap of its packet will read its header
 function Deferral:note(tvb, pinfo)
   if not (self.on_note and socketcan.is_record(tvb, pinfo)) then return false end

@@ -7,7 +7,7 @@
 --   10.0.0.2:44818 -> 10.0.0.9:14550   EtherNet/IP has 44818; Wireshark asks who has 14550 first
 --
 -- So once YAPP is found in a conversation, the lower port looks for YAPP, too, unless another
--- protocol has it.  Packets whose other port nobody has are left to the heuristics.
+-- protocol has it.  Packets whose other port no protocol has are left to the heuristics.
 
 local M = {}
 

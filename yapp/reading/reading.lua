@@ -43,7 +43,7 @@ function M.new(types, buses)
 end
 
 --- Report results from now on.
--- listener  gets each result, as listener:report(result); false for nobody
+-- listener  gets each result, as listener:report(result); false for no listener
 function Reading:listen(listener)
   self.listener = listener
 end

@@ -6,7 +6,7 @@
 local M = {}
 
 --- Make the record of a CAN frame.  It is used again for the next frame, which saves a tenth of a
--- packet list: nobody keeps it.
+-- packet list: keep no reference to it.
 function M.new_can_frame()
   return {
     -- host.can fills in:

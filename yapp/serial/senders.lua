@@ -42,7 +42,7 @@ end
 function M.new()
   return setmetatable({
     by_address = memo(new_sender),
-    is_changing = {}, -- [address] = true: those of which it is known
+    is_changing = {}, -- [address] = true: those that are known to do so
     short_names = {}, -- by name
     is_taken = {},    -- by short name
   }, Senders)

@@ -371,16 +371,16 @@ end
 --   is_others whether it is a datagram of others: nothing else of it holds
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
 function Streams:add(packet, is_stored)
-  local alone = read_alone(self, packet)
-  if alone and count_waiting(rawget(self.by_key, packet.stream)) == 0 then
+  local whole = read_alone(self, packet)
+  if whole and count_waiting(rawget(self.by_key, packet.stream)) == 0 then
     if is_stored then self.contents_by_key[packet.key] = PLAIN end
-    return new_contents(packet, alone)
+    return new_contents(packet, whole)
   end
-  local stream, is_copy = stream_of(self, packet, alone)
+  local stream, is_copy = stream_of(self, packet, whole)
   local waited, findings = count_waiting(stream), {}
   local contents = new_contents(packet, findings)
   -- What waits was cut by a lost datagram if the next one is complete in itself.
-  if alone then stream.framer:add("", true, findings) end
+  if whole then stream.framer:add("", true, findings) end
   split_bytes(self, stream, contents)
   if packet.is_found and packet.is_datagram and is_of_others(stream, contents, waited) then
     stream.framer:add("", true)
