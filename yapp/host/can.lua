@@ -48,6 +48,7 @@ function Dissector:reset()
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
   -- Whether the bus of a frame has to be asked for.
   self.bus_is_per_packet = self.buses.bus_is_per_packet
+  self.has_start = self.buses.found.start -- see Buses:time
   self.frame = records.new_can_frame()
 end
 
@@ -64,7 +65,7 @@ local function fill_frame(self, tvb, reported, pinfo, tree, id, accepts_all, is_
   local visited = key <= self.reading.newest_key and not is_deferred and pinfo.visited
   local wants = not visited and builder.wanted or builder:wants(tree, pinfo, visited)
   frame.key = key
-  frame.time = self.buses:time(pinfo)
+  frame.time = self.has_start and self.buses:time(pinfo) or pinfo.rel_ts
   frame.visited = visited
   frame.can_id = fields
   frame.seq = fields.seq
