@@ -32,7 +32,7 @@ function M.new(options)
   options = options or {}
   local sources = {}
   return {
-    reassembly = reassembly.new(options.max_open),
+    reassembly = reassembly.new(options.max_open, options.can_judge),
     source_of = function(id, bus)
       local key = id + (bus or -1) * 0x800
       sources[key] = sources[key] or

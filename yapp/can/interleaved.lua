@@ -13,9 +13,6 @@ local frame_key = require "yapp.base.frame_key"
 
 local M = {}
 
---- Seconds between a frame and its copy, as of reading.copies.
-M.MAX_DISTANCE = 0.02
-
 local MAX_SUPERSEDED = 3 -- a message that more Starts than this superseded is given up
 local MAX_WASTE = 4096   -- bytes in the pool beyond what its messages can use
 local CREDIT_PER_FRAME, MAX_CREDIT = 32, 4096 -- steps of the search
@@ -207,7 +204,7 @@ end
 local function forgive_copy(self, message)
   local newest = self.open[#self.open]
   local other = newest and newest.message
-  if not other or other.status or math.abs(other.time - message.time) >= M.MAX_DISTANCE then
+  if not other or other.status or not self.reassembly:is_near(message.time, other.time) then
     return
   end
   if other.crc == message.crc and other.size == message.size then other.status = "superseded" end

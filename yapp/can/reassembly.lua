@@ -31,7 +31,7 @@ local concat = table.concat
 
 local MAX_OPEN = 1024 -- an open message costs memory until something ends it
 local MAX_TRIES = 64 -- to leave out fragments that came twice
-local MAX_DISTANCE = interleaved.MAX_DISTANCE
+local MAX_DISTANCE = 0.02 -- seconds between a frame and its copy, as of reading.copies
 
 local MISFIT = { -- by status
   incomplete = "The message that started in frame %d ends with %d of %d bytes",
@@ -42,9 +42,11 @@ local Reassembly = {}
 Reassembly.__index = Reassembly
 
 --- Make the reassembly of one capture.
--- max_open  messages that may be open at once; 1024 if left out
-function M.new(max_open)
+-- max_open   messages that may be open at once; 1024 if left out
+-- can_judge  function(time) -> whether time stamps tell what is a copy; they always do if left out
+function M.new(max_open, can_judge)
   return setmetatable({
+    can_judge = can_judge or function() return true end,
     max_open = max_open or MAX_OPEN,
     open = {}, -- [slot] = the message that is open there, or can.interleaved of several
     open_count = 0,
@@ -74,10 +76,15 @@ function Reassembly:note(expert, message, text, ...)
   return anomaly
 end
 
+--- Return whether a frame came so soon before or after another one that it may be its copy.
+function Reassembly:is_near(time, other_time)
+  return math.abs(time - other_time) < MAX_DISTANCE and self.can_judge(time)
+end
+
 -- Return whether an End came twice: it equals that of the message that ended in its slot.
 local function is_repeated_end(self, frame)
   local message = frame.can_id.ctrl == can_id.END and self.ended[frame.slot]
-  if not message or frame.time - message.time >= MAX_DISTANCE then return false end
+  if not message or not self:is_near(frame.time, message.time) then return false end
   local length = frame.reported - (message.padding or 0)
   return length > 0 and frame.data:sub(1, length) == message.payload:sub(-length)
 end
@@ -168,10 +175,10 @@ local function make_room(self)
 end
 
 -- Return whether a Start came twice: it equals that of a message without further fragments.
-local function is_repeated_start(message, frame)
+local function is_repeated_start(self, message, frame)
   local sum, size = can_id.start(frame.data)
   return #message == 1 and message.crc == sum and message.size == size and
-    frame.time - message.time < MAX_DISTANCE
+    self:is_near(frame.time, message.time)
 end
 
 -- A Start came while a message is open in its slot.  It may supersede that message, or be of
@@ -185,7 +192,7 @@ local function supersede(self, frame)
     anomaly = self:note("fragment.incomplete", newest,
       "A new Start supersedes the message that started in frame %d: %d of %d bytes came",
       frame_key.number(newest[1]), chunks and chunks.received or open.since, newest.size)
-    anomaly.is_copy = is_repeated_start(newest, frame) or nil
+    anomaly.is_copy = is_repeated_start(self, newest, frame) or nil
   end
   if open == newest then
     if chunks.is_truncated then

@@ -58,7 +58,7 @@ local function line_of(self, pinfo)
   if not lines.is_ip(kind, from) then
     bus, is_bus_known = self.buses:of(pinfo, pinfo.number, 0)
   elseif not pinfo.visited then
-    time = pinfo.rel_ts
+    time = self.buses:time(pinfo)
   end
   local line = self.reading.lines:of(kind, from, pinfo.src_port, tostring(pinfo.dst),
     pinfo.dst_port, bus, time)

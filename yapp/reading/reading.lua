@@ -54,7 +54,7 @@ function Reading:reset(options)
   local finder = copies.new(self.buses)
   self.messages = messages.new(self.types, history.new(options), finder)
   -- CAN:
-  self.reassembly = reassembly.new()
+  self.reassembly = reassembly.new(nil, function(time) return finder:can_judge(time) end)
   self.sources = memo(function(bus) -- [bus or false][ID] = a source
     return memo(function(id) return self.types:new_source(id, bus, self.buses:name(bus)) end)
   end)
