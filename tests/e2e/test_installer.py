@@ -506,9 +506,9 @@ def test_what_to_do_next(home, folder, source):
     path = other_tshark(folder, "TShark (Wireshark) 4.6.9.\nwith Lua 5.4.7", protocols="Yet Another\tYAPP\tyapp\tT")
     (folder / "bin/python3").symlink_to("/usr/bin/python3")
     only = path.split(":", maxsplit=1)[0]
-    assert run(home, path=only)[-1] == f"next      tshark -q -r {tshark.ROOT / 'docs/flight.pcapng'} -z yapp,faults"
+    assert run(home, path=only)[-1] == f"next      tshark -q -r {tshark.ROOT / 'docs/first.pcapng'} -z yapp,faults"
     program(folder / "bin/wireshark", "true")
-    assert run(home, path=path)[-1] == f"next      wireshark -C YAPP {tshark.ROOT / 'docs/flight.pcapng'}"
+    assert run(home, path=path)[-1] == f"next      wireshark -C YAPP {tshark.ROOT / 'docs/first.pcapng'}"
     assert run(home, source=source, path=path)[-1] == "next      wireshark -C YAPP CAPTURE.pcapng"
     assert not any(line.startswith("next") for line in run(home, "check", path=path))
     lines = run(home, code=1, path=other_tshark(folder, "TShark (Wireshark) 3.6.2.\nwith Lua 5.2"))
@@ -661,7 +661,8 @@ def test_the_zip_installs(home, folder, zips):
 
 def test_the_zip_has_what_its_readme_leads_to(zips):
     names = set(zipfile.ZipFile(zips[0]).namelist())
-    assert {"yapp/install.py", "yapp/docs/fault.md", "yapp/docs/flight.pcapng", "yapp/tools/pyproject.toml"} <= names
+    assert {"yapp/install.py", "yapp/docs/fault.md", "yapp/docs/first.pcapng", "yapp/docs/flight.pcapng",
+            "yapp/tools/pyproject.toml"} <= names
     assert any(name.startswith("yapp/tools/src/yapp_tables/") for name in names)
     for page in ["README.md", *(name[5:] for name in names if name.startswith("yapp/docs/") and name.endswith(".md"))]:
         text = zipfile.ZipFile(zips[0]).read(f"yapp/{page}").decode()
@@ -747,19 +748,37 @@ def test_one_version():
         assert re.search(pattern, (tshark.ROOT / name).read_text(), re.MULTILINE)[1] == version, name
 
 
+def demo(folder, capture, **options):
+    """Run `make demo`'s program; return its lines, and assert that nothing is on stderr and nothing stays behind."""
+    (folder / "tmp").mkdir()
+    (folder / "tmp").chmod(0o777)
+    done = subprocess.run([tshark.ROOT / "tests/demo", capture], capture_output=True, text=True, check=True, cwd=tshark.ROOT,
+                          env={**os.environ, "TMPDIR": str(folder / "tmp"), "HOME": str(folder)}, **options)
+    assert not done.stderr and not any((folder / "tmp").iterdir())
+    assert "Severity" not in done.stdout  # expert items repeat the flags
+    return done.stdout.splitlines()
+
+
 @pytest.mark.parametrize("capture, shown", [
+    ("docs/first.pcapng", "motor_overcurrent +raised"),
     ("docs/flight.pcapng", "motor_overcurrent +raised"),
     ("test_captures/can/document_command.pcap", r"750\.8\d* RPM"),
     (None, "No Taurus message"),
 ])
 def test_demo(folder, capture, shown):
-    """The fault, a screen long, what to do next; and nothing stays behind."""
+    """The fault, a screen long, and what to do next."""
     if capture is None:  # a capture without a packet
         capture = folder / "empty.pcap"
         capture.write_bytes((tshark.CAPTURES / "can/document_command.pcap").read_bytes()[:24])
-    (folder / "tmp").mkdir()
-    done = subprocess.run([tshark.ROOT / "tests/demo", capture], capture_output=True, text=True, check=True, cwd=tshark.ROOT,
-                          env={**os.environ, "TMPDIR": str(folder / "tmp"), "HOME": str(folder)})
-    assert re.search(shown, done.stdout) and "Severity" not in done.stdout  # expert items repeat the flags
-    assert len(done.stdout.splitlines()) <= 60 and "Next: make install" in done.stdout.splitlines()[-1]
-    assert not any((folder / "tmp").iterdir())
+    lines = demo(folder, capture)
+    assert re.search(shown, "\n".join(lines))
+    assert len(lines) <= 60 and "Next: make install, then open" in lines[-1]
+
+
+def test_demo_beside_an_installed_plugin(folder):
+    """In the README's order: nothing is loaded twice, and the last line does not ask to install again."""
+    run(folder)
+    ordinary = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}  # root gets no plugin from 4.4 on
+    folder.chmod(0o777)
+    lines = demo(folder, "docs/first.pcapng", **ordinary)
+    assert "YAPP faults: 1" in lines and lines[-1].startswith("Next: open docs/first.pcapng")

@@ -382,8 +382,8 @@ def run(what: str, purge: bool = False, program: str | None = None) -> int:
                     say(name, place)
             found = list(problems(source, wireshark))
             if what == "install" and not found:
-                flight = source / "docs/flight.pcapng"
-                capture = flight if flight.is_file() else "CAPTURE.pcapng"
+                first = source / "docs/first.pcapng"
+                capture = first if first.is_file() else "CAPTURE.pcapng"
                 has_window = shutil.which("wireshark") or not shutil.which("tshark")
                 command = f"wireshark -C YAPP {capture}" if has_window else f"tshark -q -r {capture} -z yapp,faults"
                 say("next", command)
