@@ -493,6 +493,23 @@ function T.test_numbers_of_64_bits()
   lu.assertStrContains(run({ "summary,json" }, since_1970, with), '"mean":1700000000000000,')
 end
 
+-- Of counts that are numbers in proportion, the sum is one of counts: reserved values and signs count
+-- as ever, and what falls as its count grows has its least value at the largest count.
+function T.test_means_of_counts()
+  local catalogue = catalogue_of.compile { { name = "m", title = "M", id = 2, size = 6,
+    { "real", "float8", "Real", min = -125, max = 125 },
+    { "sign", "int8", "Sign" },
+    { "rise", "uint16", "Rise", scale = 0.1, offset = -1, unit = "V" },
+    { "fall", "int16", "Fall", scale = -2 } } }
+  local source, records = { key = "m", id = 2, message = catalogue.messages[1] }, {}
+  for i, bytes in ipairs { "\100\255\10\0\1\0", "\255\1\20\0\2\0", "\200\246\30\0\255\255" } do
+    records[i] = record(i, i, { source = source, payload = bytes })
+  end
+  lu.assertStrContains(run({ "summary,json" }, records, { catalogue = catalogue }), '"values":{' ..
+    '"real":{"min":-25,"mean":25,"max":75},"sign":{"min":-10,"mean":-3.3333333333333335,"max":1},' ..
+    '"rise":{"min":0,"mean":1,"max":2},"fall":{"min":-4,"mean":-1.3333333333333333,"max":2}}')
+end
+
 -- Where Seq No does not count, "0 missing" proves nothing, and says so.
 function T.test_check_says_where_seq_no_does_not_number_messages()
   local function note_of(...)

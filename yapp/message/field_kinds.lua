@@ -383,4 +383,14 @@ function M.number(field, raw)
   return tonumber((M.value(field, raw))) or 0 / 0 -- of 64 bits a text, where a double is not exact
 end
 
+--- Return the highest raw value that is a number, of a field whose raw values are counts and whose
+-- numbers grow in proportion to them: so that a mean of raw values gives the mean.  Nil for others.
+function M.linear_top(field)
+  local kind = field.kind
+  local is_linear = kind == "float" or kind == "uint" or kind == "int" or
+    kind == "scaled" and field.scale > 0
+  if not is_linear or field.size > 6 then return nil end
+  return field.ordinary or field.top
+end
+
 return M
