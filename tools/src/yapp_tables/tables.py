@@ -17,6 +17,7 @@ import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
 
 from .clock import Stretches
+from .difference import difference
 from .errors import SetupError
 from .lag import LAG, Lags, steps
 from .tshark import Export, Record, Tshark
@@ -260,7 +261,7 @@ class Rows(Table):
         given["controller"] = given.get("source")
         for column in self.columns:
             if column.difference:
-                given[column.name] = pc.subtract(*(given[name].cast(pa.float64()) for name in column.difference))
+                given[column.name] = difference(*(given[name] for name in column.difference))
             elif column.name == LAG and lags:
                 given[LAG] = lags.measure(given)
             elif column.type == DURATION and column.name in given:

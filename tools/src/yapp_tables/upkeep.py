@@ -12,11 +12,11 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from .clock import YEAR_2000, Stretches, clock_of
 from .dataset import PART, DataSet, Result
+from .difference import difference
 from .errors import SetupError, need
 from .records import FLIGHTS, TABLES, incidents
 from .tables import DURATION, HEAD, KIND, SCHEMA, Message, digests, messages
@@ -134,7 +134,7 @@ def _upgrade_parquet(dataset: DataSet, result: Result, known: dict[str, Message]
     about = _About()
     files = {file.partition("/")[0].removeprefix("message="): file for file in result.files}
     for name in sorted(files, key=_flights_last):
-        rows = ds.dataset(dataset.local(files[name]), partitioning=None).to_table()
+        rows = pq.ParquetFile(dataset.local(files[name])).read()
         with dataset.aside() as aside:
             pq.write_table(about.renew(rows, name, known.get(name)), aside / "new", compression="zstd")
             dataset.move(aside / "new", f"{dataset.path}/{files[name]}")
@@ -204,7 +204,7 @@ def _new_table(rows: pa.Table, name: str, message: Message | None) -> pa.Table:
         columns.setdefault("controller", columns["source"])
     for column in own.values():
         if column.difference and set(column.difference) <= columns.keys():
-            columns.setdefault(column.name, pc.subtract(*(_finite(columns[each]) for each in column.difference)))
+            columns.setdefault(column.name, difference(*(_finite(columns[each]) for each in column.difference)))
     done = {each: _new_column(columns.get(each), wanted.get(each), len(rows)) for each in order}
     schema = pa.schema(
         [fields.get(each, pa.field(each, cells.type)).with_type(cells.type) for each, cells in done.items()],
