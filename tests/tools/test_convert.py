@@ -3,13 +3,15 @@
 
 import csv
 import os
+import subprocess
+import sys
 
 import duckdb
 import pandas as pd
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
-from running import motor_row, result
+from running import FAKE, motor_row, result
 
 TABLES = ["events", "faults", "flights", "motor", "statistics", "summary"]
 
@@ -34,6 +36,15 @@ def test_parquet_reads_back_with_pandas_polars_and_duckdb(make_capture, yapp_tab
     assert pl.read_parquet(path)["time"].dtype == pl.Datetime("ns", "UTC")
     query = f"SELECT message, max(rpm_measured) FROM '{tmp_path}/data/message=motor/*.parquet' GROUP BY message"
     assert duckdb.sql(query).fetchall() == [("motor", 1002.5)]
+
+
+@pytest.mark.parametrize("to", ["parquet", "csv", "delta"])
+def test_a_conversion_needs_no_pandas(make_capture, tmp_path, to):
+    """Its import takes as long as to write a flight of half an hour."""
+    script = "import sys; from yapp_tables.cli import main; print(main(sys.argv[1:]), 'pandas' in sys.modules)"
+    command = ["convert", flight(make_capture), "--to", to, "--out", "data", "--tshark", FAKE]
+    done = subprocess.run([sys.executable, "-c", script, *command], cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout == "0 False\n", done.stderr
 
 
 def test_csv_has_one_header_row_and_reads_back(make_capture, yapp_tables, tmp_path):

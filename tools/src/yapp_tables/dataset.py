@@ -15,7 +15,6 @@ from typing import Any
 import fsspec
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from .errors import SetupError, need
@@ -301,8 +300,13 @@ def _extended_parquet(paths: dict[str, str], new: Path) -> Iterator[str]:
     whole = pa.unify_schemas(sorted(schemas.values(), key=len, reverse=True), promote_options="permissive")
     for file, schema in schemas.items():
         if schema.names != whole.names or schema.types != whole.types:
-            data = ds.dataset(paths[file], schema=whole, partitioning=None).to_table()
-            pq.write_table(data.replace_schema_metadata(schema.metadata), new, compression="zstd")
+            data = pq.ParquetFile(paths[file]).read()
+            columns = [
+                data[each.name].cast(each.type) if each.name in schema.names else pa.nulls(len(data), each.type)
+                for each in whole
+            ]
+            data = pa.table(columns, schema=whole.with_metadata(schema.metadata))
+            pq.write_table(data, new, compression="zstd")
             yield file
 
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import pyarrow as pa
-import pyarrow.dataset as ds
+import pyarrow.compute as pc
 from deltalake import DeltaTable, write_deltalake
 from deltalake.exceptions import DeltaError, TableNotFoundError
 
@@ -64,7 +64,7 @@ def rewrite(url: str, message: str, flights: Sequence[str], change: Callable[[st
 
     def rows() -> Iterator[pa.RecordBatch]:
         for flight in flights:
-            table = old.to_table(filter=ds.field("flight_id") == flight)
+            table = old.to_table(filter=pc.field("flight_id") == flight)
             if len(table):
                 yield from _rows(change(flight, table).to_batches(), schema)
 
