@@ -270,7 +270,8 @@ function M.row(group, values)
   if count == 0 then return row end
   local min, mean, max = values.min, values.sum / count, values.max
   if values.ordinary then
-    min, mean, max = number_of_raw(field, min), number_of_raw(field, mean), number_of_raw(field, max)
+    min, max = number_of_raw(field, min), number_of_raw(field, max)
+    mean = number_of_raw(field, mean)
   end
   row.min, row.mean, row.max = rounded(field, min), mean, rounded(field, max)
   return row
