@@ -195,7 +195,7 @@ def passes_suite(folder, path, python, most=600):
     """Whether the tests of SUITES pass in a copy of the tree: a mutant may make them wait without end."""
     run = subprocess.run([python if str(path).startswith("tools/") else "/usr/bin/python3", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider",
                           *suite_of(path)], cwd=folder, capture_output=True, text=True, check=False, timeout=most,
-                         env={**os.environ, "YAPP_PLUGIN_ROOT": str(folder)}, **USER)
+                         env={**os.environ, "YAPP_PLUGIN_ROOT": str(folder), "PYTHONPATH": str(folder / "tools/src")}, **USER)
     assert run.returncode in (0, 1, 2), run.stdout[-500:] + run.stderr[-500:]
     return run.returncode == 0
 
@@ -235,6 +235,8 @@ def main():
     parser.add_argument("--python", default=sys.executable, help="that has what tests/tools needs")
     parser.add_argument("modules", nargs="*", type=pathlib.Path, help="all that need no Wireshark by default")
     options = parser.parse_args()
+    if options.other and USER and subprocess.run([options.python, "-V"], capture_output=True, check=False, **USER).returncode:
+        parser.error(f"{options.python} is not for the user nobody")
     seconds, loads = {}, {test: loaded_by(test) for test in TESTS}
     equivalent = {tuple(line.split("\t")[:3]) for line in (ROOT / "tests/equivalent_mutants.txt").read_text().splitlines()}
 

@@ -2,6 +2,8 @@
 """Live ports: extcap/yapp_extcap.py on a pseudo terminal, and CAN on python-can's virtual bus; by itself, and under the real
 tshark.  Every byte that is written comes out, in order; and whatever ends a capture is said."""
 import contextlib
+import fnmatch
+import glob
 import importlib
 import os
 import pathlib
@@ -217,6 +219,40 @@ def test_defaults_are_the_documents():
     adapters = re.findall(r"^value {arg=0}{value=(\w+)}", can, re.MULTILINE)
     names = pytest.importorskip("can", reason="no python-can").VALID_INTERFACES
     assert len(adapters) >= 12 and set(adapters) <= set(names), set(adapters) - set(names)
+
+
+def test_which_ports_there_are(extcap, monkeypatch):
+    """Adapters, the UARTs of single-board computers, Bluetooth, macOS's; of what /dev has no more."""
+    ports = ["/dev/" + name for name in ("cu.usbserial-1", "rfcomm0", "ttyACM0", "ttyAMA0", "ttyTHS1", "ttyUSB0", "ttymxc2")]
+    there = [*ports, "/dev/tty0", "/dev/tty.usbserial-1", "/dev/console", "/dev/null"]
+    monkeypatch.setattr(glob, "glob", lambda pattern: fnmatch.filter(there, pattern))
+    assert extcap.serial_ports() == ports
+
+
+@pytest.mark.parametrize("text, is_locked", [(f"{os.getpid():10}\n", True), ("         0\n", False), ("nobody", False), (None, False)])
+def test_a_port_that_is_locked_by_a_file(extcap, monkeypatch, tmp_path, text, is_locked):
+    """By the number of a program that runs; such a file of one that was killed says nothing."""
+    if text is not None:
+        (tmp_path / "LCK..ttyUSB0").write_text(text.replace("         0", "1999999999"))
+    moved = {"/var/lock/LCK..ttyUSB0": tmp_path / "LCK..ttyUSB0"}
+    monkeypatch.setattr(extcap, "open", lambda path, **more: open(moved[path], **more), raising=False)
+    assert extcap.is_locked("/dev/ttyUSB0") == is_locked
+
+
+def test_where_a_packet_ends(extcap, monkeypatch):
+    """At a pause of more than 2 ms, and after 20 ms: later bytes would have the time of the first ones."""
+    clock, waits = [0.0], []
+
+    def read(_, seconds):
+        waits.append(seconds)
+        clock[0] += 0.0015
+        return b"x" if len(waits) < 40 else options.stop.set() or b""
+
+    monkeypatch.setattr(extcap.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(extcap, "open_by_termios", lambda *_: (read, lambda: None))
+    options = types.SimpleNamespace(port="tty", second="", stop=threading.Event())
+    sizes = [len(packet[1]) - len(extcap.EXPORTED_PDU) for packet in filter(None, extcap.serial_packets("tty", options))]
+    assert set(waits) == {0.2, 0.002} and sizes[0] == 15 and sum(sizes) == 39
 
 
 def test_ports_are_asked_for_again():

@@ -421,7 +421,26 @@ def test_the_document_has_every_key(what):
         assert {key for found in keys for key in found[len(first):]} <= set(re.findall(r"\w+", row))
 
 
-def lines_of(what):
+def lines_of(what, form=",json"):
     options = f",{tshark.writable_folder() / 'tables'}" if what == "csv" else ""
-    return tshark.run("-q", "-r", tshark.ROOT / "docs/flight.pcapng", "-z", f"yapp,{what}{options},json",
-                      check=False).stdout.splitlines()
+    return tshark.run("-q", "-r", tshark.ROOT / "docs/flight.pcapng", "-z", f"yapp,{what}{options}{form}", check=False).stdout.splitlines()
+
+
+# The titles of the tables for people, typed once more; "rate/Hz" is one word, "since start/s" has blanks.  Empty columns are left out.
+TITLES = {
+    "summary": ["bus|ID|message|count|rate/Hz|gap/s min|mean|max|in frame|bad CRC|incomplete|late|reboots|invalid|skipped|missing|copies",
+                "bus|ID|message|field|unit|min|mean|max|count"],
+    "faults": ["time (UTC)|since start/s|frame|bus|ID|message|field|flag|event|active/s"],
+    "events": ["time (UTC)|since start/s|frame|bus|ID|message|event|details"],
+    "compare": ["field|unit|source|min|mean|max|spread|since start/s|frame"] * 3,
+    "csv": ["file|rows"],
+    "check": ["check|rule|bus|ID|message|frame|seen|note"],
+}
+
+
+@pytest.mark.parametrize("what", WHATS)
+def test_the_titles_of_its_tables(what):
+    """A table begins behind an empty line, and the sum of the check stands there, too."""
+    lines = [""] + lines_of(what, "")
+    found = [re.sub(" +", " ", line) for before, line in zip(lines, lines[1:]) if not before and not re.match(r"YAPP |\d", line)]
+    assert found == [row.replace("|", " ") for row in TITLES[what]]

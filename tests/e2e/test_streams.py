@@ -275,17 +275,6 @@ def test_the_comparison_sees_each_field(folder):
     assert seen >= {"info", "yapp", "yapp.id", "yapp.crc", "yapp.payload", "yapp.skipped", "yapp.fragment", "taurus.motor.dc_voltage"}
 
 
-def test_total():
-    """Says how much the random streams cover (-s shows it)."""
-    total = collections.Counter()
-    for number in range(FILES):
-        capture = stream_captures.capture(TRANSPORTS[number % len(TRANSPORTS)], f"{SEED}.{number}", PER_FILE)
-        total.update({"streams": PER_FILE, "packets": len(capture.packets)})
-        total.update(event.kind for packet in capture.packets for event in packet.events)
-    print(f"seed {SEED}:", ", ".join(f"{count} {what}" for what, count in total.items()))
-    assert all(total[what] > STREAMS / 10 for what in ("good", "bad", "incomplete", "skipped")), total
-
-
 # Single situations -----------------------------------------------------------------------------------------------
 
 ONE, TWO, THREE = (frame(0x301 + number, bytes([number]) * 30, seq=number) for number in range(3))
