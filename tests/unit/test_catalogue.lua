@@ -3,7 +3,6 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
-local decode = require("yapp.message.decode")
 local text_of = require("yapp.message.text")
 
 local T = {}
@@ -332,7 +331,6 @@ function T.test_nonsense_in_every_option()
             lu.assertEquals(#compiled.messages + math.min(#problems, 1), 1)
             for _, one in ipairs(compiled.messages) do
               local raws = one.read(("\255"):rep(size))
-              decode.remarks(one, raws)
               lu.assertStrContains(text_of.info(one, raws, one.title, true), "M")
               lu.assertNotNil(text_of.row(one, one.read(("\255"):rep(size))))
             end

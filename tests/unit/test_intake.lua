@@ -3,7 +3,6 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue_of = require("yapp.message.catalogue")
-local decode = require("yapp.message.decode")
 local frame_key = require("yapp.base.frame_key")
 local intake_of = require("yapp.stat.intake")
 local kinds = require("yapp.stat.kinds")
@@ -35,8 +34,7 @@ local function message(with)
   for key, value in pairs(with or {}) do m[key] = value end
   m.key = (m.frame or 1) * frame_key.PACKET + 16
   local of_type = m.of or MESSAGE
-  local raws, is_remarkable = of_type.read(m.payload)
-  m.raws, m.remarks = raws, is_remarkable and decode.remarks(of_type, raws)
+  m.raws, m.remarks = of_type.read(m.payload)
   return m
 end
 

@@ -28,10 +28,9 @@ end
 
 -- The row of CSV of a payload, and the experts of its remarks.
 local function shown(m, hex)
-  local raws, is_remarkable = m.read(bytes(hex))
-  lu.assertEquals(is_remarkable, #decode.remarks(m, raws) > 0, hex)
+  local _, remarks = m.read(bytes(hex))
   local experts = {}
-  for _, remark in ipairs(decode.remarks(m, raws)) do
+  for _, remark in ipairs(remarks or {}) do
     experts[#experts + 1] = m.fields[remark[1]].name .. " " .. remark[2]
   end
   return row_of(m, bytes(hex)), table.concat(experts, ", ")
@@ -313,8 +312,8 @@ function T.test_payloads_that_are_shorter()
   for length, row in pairs(rows) do lu.assertEquals(row_of(m, payload:sub(1, length)), row, length) end
   local infos = { [1] = "One - - -", [9] = "One 1.000000000 s - -", [17] = "One 1.000000000 s ab true" }
   for length, text in pairs(infos) do
-    local raws, is_remarkable = m.read(payload:sub(1, length))
-    lu.assertEquals({ m.write_info(raws), is_remarkable, text_of.faults(m, raws) }, { text, false, "" })
+    local raws, remarks = m.read(payload:sub(1, length))
+    lu.assertEquals({ m.write_info(raws), remarks, text_of.faults(m, raws) }, { text, false, "" })
   end
 end
 
@@ -324,10 +323,10 @@ function T.test_nothing_is_remarkable_in_what_is_absent()
     { "c", "uint8", "C", group = "g", alarm = "FAULT", flags = { { "x", 1, "X" } } })
   for length, experts in pairs { [0] = {}, { "value.invalid" }, { "value.invalid" },
     { "value.invalid", "fault.active" } } do
-    local raws, is_remarkable = m.read(("\1"):rep(length))
+    local _, remarks = m.read(("\1"):rep(length))
     local found = {}
-    for i, remark in ipairs(decode.remarks(m, raws)) do found[i] = remark[2] end
-    lu.assertEquals({ found, is_remarkable, decode.has_alarm(m, raws) }, { experts, length > 0, length == 3 })
+    for i, remark in ipairs(remarks or {}) do found[i] = remark[2] end
+    lu.assertEquals({ found, remarks and remarks.has_fault }, { experts, length > 0 and (length == 3 or nil) })
   end
 end
 

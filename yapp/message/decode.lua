@@ -3,14 +3,12 @@
 -- ("YAPP Data Types", "YAPP Float Compression", "Time"), their meaning, and which of them are
 -- remarkable.  Pure Lua.
 
-local bits = require "yapp.base.bits"
 local field_kinds = require "yapp.message.field_kinds"
 
 local M = {}
 
 local concat = table.concat
 local byte, find, format = string.byte, string.find, string.format
-local band, fast_band = bits.band, bits.fast_band
 local KINDS = field_kinds.BY_NAME
 
 local MAX_KEPT = 100 -- bytes of a payload in local variables: a function has up to 200
@@ -41,13 +39,15 @@ end
 -- packet list.  The first bytes of a payload are in b1, b2, ...; a missing one is nil.
 local READER = [[
 local FIELDS, byte, kinds = ...
-local fast_band, value_of, is_undefined = kinds.fast_band, kinds.value_of, kinds.is_undefined
+local band, value_of, is_undefined = kinds.band, kinds.value_of, kinds.is_undefined
 return function(payload)
-local raws, is_remarkable, a = { %s }, false
+local raws, remarks, a = { %s }, false
 local %s = byte(payload, 1, %d)
 %s
-return raws, is_remarkable
+return raws, remarks
 end]]
+local REMARK = "if %s then remarks = remarks or {} FIELDS[%d]:remark(a, remarks) end"
+
 
 -- Return the lines that read the i-th field of a message.
 local function field_source(field, i)
@@ -61,10 +61,10 @@ local function field_source(field, i)
   if field.read ~= field_kinds.read_count or last > MAX_KEPT then
     value = format("FIELDS[%d]:read(payload)", i)
   end
-  -- M.remarks finds the same: tests/unit/test_types.lua holds that the two agree.
   local source = KINDS[field.kind].source
-  local line = "if %s then a = %s raws[%d] = a if %s then is_remarkable = true end end"
-  return format(line, is_there, value, i, source and source(field, i) or "false")
+  local condition = source and source(field, i)
+  local remark = condition and format(REMARK, condition, i) or ""
+  return format("if %s then a = %s raws[%d] = a %s end", is_there, value, i, remark)
 end
 
 --- Make the reader of a message.
@@ -73,11 +73,12 @@ end
 --          that are whole.  It does not read the bytes behind the message.  It returns
 --            { [index of field] = raw }, see message.field_kinds, without missing fields and cases
 --            that are not chosen
---            whether M.remarks has any
+--            the remarkable values, false for none: a list of { index of field, expert, whether the
+--            catalogue does not define the value }, with has_fault = true if a fault flag is set
 function M.new_reader(message)
   local nils, names, lines = {}, {}, {}
   for i, field in ipairs(message.fields) do
-    field.read = KINDS[field.kind].choose(field)
+    field.read, field.remark = KINDS[field.kind].choose(field), KINDS[field.kind].remark
     nils[i], lines[i] = "nil", field_source(field, i) -- a table that grows by itself takes longer
   end
   for i = 1, math.min(message.size, MAX_KEPT) do names[i] = "b" .. i end
@@ -87,57 +88,13 @@ function M.new_reader(message)
   return read(message.fields, byte, field_kinds.ENVIRONMENT)
 end
 
--- Flags ------------------------------------------------------------------------------------------
-
---- Return the filter names of the flags that are set, undefined bits as one number:
--- "motor_overcurrent, hall_timeout, undefined 0x80000".
-function M.flag_names(field, raw)
-  if raw == field.named then return field.names end -- cached: they seldom change
-  local names = {}
-  for _, flag in ipairs(field.flags) do
-    if fast_band(raw, flag.mask) ~= 0 then names[#names + 1] = flag.name end
-  end
-  local undefined = band(raw, field.undefined)
-  if undefined ~= 0 then names[#names + 1] = format("undefined 0x%x", undefined) end
-  field.named, field.names = raw, concat(names, ", ")
-  return field.names
-end
-
---- Return the fault flags of a field that are set, as a number.
--- raw  nil where the payload does not have the field
-function M.faults(field, raw)
-  return raw and band(raw, field.alarm_bits) or 0
-end
-
---- Return whether a fault flag is set in a message.
-function M.has_alarm(message, raws)
-  for _, field in ipairs(message.alarms) do
-    if M.faults(field, raws[field.index]) ~= 0 then return true end
-  end
-  return false
-end
-
---- List the remarkable values: an entry for each expert item.
--- message  compiled
--- raws     of its reader
--- returns  a list of { index of field, expert, whether the catalogue does not define the value }
-function M.remarks(message, raws)
-  local remarks, index = {}, nil
-  local function add(...) remarks[#remarks + 1] = { index, ... } end
-  for i, field in ipairs(message.fields) do
-    local raw, remark = raws[i], KINDS[field.kind].remark
-    index = i
-    if raw and remark then remark(field, raw, add) end
-  end
-  return remarks
-end
-
 --- Return whether bytes look like a message: all its values are defined, and at least two of its
 -- fields have values that are not.  Random bytes of Command's size do in one of two million cases.
 -- Zeros look like anything, so they do not count.
 function M.is_plausible(message, payload)
   if not find(payload, "[^%z]") then return false end
-  for _, remark in ipairs(M.remarks(message, (message.read(payload)))) do
+  local _, remarks = message.read(payload)
+  for _, remark in ipairs(remarks or {}) do
     if remark[3] then return false end
   end
   local checked = 0

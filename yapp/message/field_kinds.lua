@@ -164,7 +164,7 @@ end
 local function flags_cells(field, raw)
   local texts = { M.number_text(field, raw) }
   for i, flag in ipairs(field.flags) do
-    texts[i + 1] = bits.fast_band(raw, flag.mask) ~= 0 and "1" or "0"
+    texts[i + 1] = bits.band(raw, flag.mask) ~= 0 and "1" or "0"
   end
   return table.concat(texts, ",")
 end
@@ -177,23 +177,32 @@ local function is_undefined(field, raw)
   return values and not values[raw] or cases and not cases[raw] or field.kind == "bool" and raw > 1
 end
 
-local function remark_code(field, raw, add)
-  if is_undefined(field, raw) then add(field.invalid, true) end
+-- Append a remark.
+-- lacks_meaning  whether the catalogue does not define the value
+local function note(remarks, field, expert, lacks_meaning)
+  remarks[#remarks + 1] = { field.index, expert, lacks_meaning }
 end
 
-local function remark_special(field, raw, add)
-  if not M.value(field, raw) then add("value.special", false) end
+local function remark_code(field, _, remarks)
+  note(remarks, field, field.invalid, true)
 end
 
-local function remark_flags(field, raw, add)
-  if bits.fast_band(raw, field.alarm_bits) ~= 0 then add("fault.active", false) end
-  if bits.fast_band(raw, field.undefined) ~= 0 then add("flags.undefined", true) end
+local function remark_special(field, _, remarks)
+  note(remarks, field, "value.special", false)
+end
+
+local function remark_flags(field, raw, remarks)
+  if bits.band(raw, field.alarm_bits) ~= 0 then
+    note(remarks, field, "fault.active", false)
+    remarks.has_fault = true
+  end
+  if bits.band(raw, field.undefined) ~= 0 then note(remarks, field, "flags.undefined", true) end
 end
 
 -- The condition of each as source, in which a is the raw value and FIELDS[i] the field:
 
 local function code_source(field, i)
-  return field.invalid and format("is_undefined(FIELDS[%d], a)", i) or "false"
+  return field.invalid and format("is_undefined(FIELDS[%d], a)", i)
 end
 
 local function special_source(_, i)
@@ -206,11 +215,11 @@ local function float_source(field, i)
 end
 
 local function flags_source(field)
-  return format("a ~= 0 and fast_band(a, %d) ~= 0", bits.bor(field.alarm_bits, field.undefined))
+  return format("a ~= 0 and band(a, %d) ~= 0", bits.bor(field.alarm_bits, field.undefined))
 end
 
 --- The functions that the conditions call, by name.
-M.ENVIRONMENT = { fast_band = bits.fast_band, value_of = M.value, is_undefined = is_undefined }
+M.ENVIRONMENT = { band = bits.band, value_of = M.value, is_undefined = is_undefined }
 
 -- The kinds ---------------------------------------------------------------------------------------
 
@@ -307,9 +316,9 @@ local TEXT = {
 --   info     function(field, raw, shape) -> a text for Info; shape = for a fraction
 --   column   type of its column in CSV and fields.json; unit = of a column without one of its own
 --   cells    function(field, raw) -> its cells in CSV
---   remark   function(field, raw, add), which calls add(expert item, whether the catalogue does not
---            define the value) for a remarkable value; nil if no value can be one
---   source   the same condition as source, see above: function(field, i)
+--   remark   function(field, raw, remarks), which appends to the list that decode.new_reader
+--            describes, for a remarkable value; nil if no value can be one
+--   source   its condition as source, see above: function(field, i)
 --   code     format of a code in texts; nil: hexadecimal
 --   is_number, is_integer, is_text
 M.BY_NAME = {

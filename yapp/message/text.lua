@@ -5,9 +5,10 @@
 -- GROUP_FLAG, 0 or 1; a float with a reserved value is an empty cell, and NAME_special names the
 -- value.
 
-local input = require "yapp.base.input"
+local band = require "yapp.base.bits".band
 local decode = require "yapp.message.decode"
 local field_kinds = require "yapp.message.field_kinds"
+local input = require "yapp.base.input"
 local memo = require "yapp.base.memo"
 
 local M = {}
@@ -129,17 +130,37 @@ function M.compile_info(message, text)
   return new_writer(pieces)
 end
 
+--- Return the filter names of the flags that are set, undefined bits as one number:
+-- "motor_overcurrent, hall_timeout, undefined 0x80000".
+function M.flag_names(field, raw)
+  if raw == field.named then return field.names end -- cached: they seldom change
+  local names = {}
+  for _, flag in ipairs(field.flags) do
+    if band(raw, flag.mask) ~= 0 then names[#names + 1] = flag.name end
+  end
+  local undefined = band(raw, field.undefined)
+  if undefined ~= 0 then names[#names + 1] = format("undefined 0x%x", undefined) end
+  field.named, field.names = raw, concat(names, ", ")
+  return field.names
+end
+
+--- Return the names of the fault flags that are set, "" for none.
+-- raw  nil where the payload does not have the field
+function M.fault_names(field, raw)
+  return M.flag_names(field, band(raw or 0, field.alarm_bits))
+end
+
 --- Return the text of the Info column about the faults that are set:
 -- "FAULT motor_overcurrent, faulted", "" for none.
 -- raws  of the message's reader
 function M.faults(message, raws)
   local text, word = "", nil
   for _, field in ipairs(message.alarms) do
-    local faults = decode.faults(field, raws[field.index])
-    if faults ~= 0 then
+    local names = M.fault_names(field, raws[field.index])
+    if names ~= "" then
       local before = ", "
       if field.fault_word ~= word then before = (word and "  " or "") .. field.fault_word .. " " end
-      text = text .. before .. decode.flag_names(field, faults)
+      text = text .. before .. names
       word = field.fault_word
     end
   end

@@ -3,7 +3,6 @@
 -- previous message.  Pure Lua.
 
 local compiler = require "yapp.message.catalogue"
-local decode = require "yapp.message.decode"
 
 local M = {}
 
@@ -39,7 +38,7 @@ local function new_message(frame, transfer)
     size = transfer.size, -- as its header has it
     payload = transfer.payload, -- the bytes of it that came
     raws = false, -- the values by index of field (message.decode); false if the size does not fit
-    remarks = false, -- of message.decode: the remarkable values, false for none
+    remarks = false, -- the remarkable values (message.decode), false for none
     has_fault = false, -- whether a fault flag is set
     undecoded = false, -- number of payload bytes behind the type's size, false for none
     like = false, -- of an unknown message: the type that has its size, false for none
@@ -61,13 +60,10 @@ local function decode_values(message, of_type)
   local size, is_good = message.size, message.status == "good"
   local is_longer = size > of_type.size
   if size < of_type.min_size or is_longer and not is_good then return end
-  local raws, is_remarkable = of_type.read(message.payload)
-  message.raws = raws
+  local raws, remarks = of_type.read(message.payload)
+  message.raws, message.remarks = raws, remarks
+  message.has_fault = remarks and remarks.has_fault or false
   if is_longer then message.undecoded = size - of_type.size end
-  if is_remarkable then
-    message.remarks = decode.remarks(of_type, raws)
-    message.has_fault = decode.has_alarm(of_type, raws)
-  end
 end
 
 -- Find the type that an unknown message could be of by its size.

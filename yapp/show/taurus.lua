@@ -3,11 +3,12 @@
 -- from message.decode, the changes from the history.
 
 local binary = require "yapp.message.binary"
-local bits = require "yapp.base.bits"
+local band = require "yapp.base.bits".band
 local decode = require "yapp.message.decode"
 local field_kinds = require "yapp.message.field_kinds"
 local frame_key = require "yapp.base.frame_key"
 local show_fields = require "yapp.show.fields"
+local text_of = require "yapp.message.text"
 
 local M = {}
 
@@ -16,7 +17,7 @@ local add_expert = show_fields.add_expert
 local add_generated = show_fields.add_generated
 local add_le = show_fields.add_le
 local append_text = show_fields.append_text
-local flag_names = decode.flag_names
+local fault_names, flag_names = text_of.fault_names, text_of.flag_names
 local number_text, value_of = field_kinds.number_text, field_kinds.value
 local format = string.format
 local range_of = Tvb.range
@@ -101,7 +102,7 @@ local function ordered(flags)
     local unset = {}
     order, latest = {}, raw
     for _, flag in ipairs(flags) do
-      local list = bits.band(raw, flag[2]) ~= 0 and order or unset
+      local list = band(raw, flag[2]) ~= 0 and order or unset
       list[#list + 1] = flag[1]
     end
     for _, pf in ipairs(unset) do order[#order + 1] = pf end
@@ -123,7 +124,7 @@ function ADD.flags(field, fields)
     local order = order_of(raw)
     for i = 1, #order do add_le(item, order[i], range) end
     if raw == 0 then return item end
-    local undefined, names = bits.band(raw, field.undefined), flag_names(field, raw)
+    local undefined, names = band(raw, field.undefined), flag_names(field, raw)
     if undefined_pf and undefined ~= 0 then add(item, undefined_pf, range, undefined) end
     if names == "" then return item end
     if pf then append_text(item, " (" .. names .. ")") end
@@ -222,8 +223,8 @@ end
 
 -- Add the names of the faults among a field's flags to a list.
 local function list_faults(names, field, raw)
-  local faults = decode.faults(field, raw)
-  if faults ~= 0 then names[#names + 1] = flag_names(field, faults) end
+  local faults = fault_names(field, raw)
+  if faults ~= "" then names[#names + 1] = faults end
 end
 
 -- Return the names of the faults that are set in a message: "motor_overcurrent, faulted", "" for
@@ -337,7 +338,7 @@ end
 -- Append the catalogue's help on the flags that are set.
 local function append_help(item, field, raw)
   for _, flag in ipairs(field.flags) do
-    if flag.help and bits.fast_band(raw, flag.mask) ~= 0 then
+    if flag.help and band(raw, flag.mask) ~= 0 then
       append_text(item, ("; %s: %s"):format(flag.name, flag.help))
     end
   end
@@ -377,7 +378,7 @@ local function add_flags_changes(self, changes, way, top, item)
     local pf = self.fields[field.group .. "." .. way]
     if raw ~= 0 and referenced(top, pf) then
       local added = append_text(add_generated(top, pf, raw), " (" .. flag_names(field, raw) .. ")")
-      if way == "raised" then append_help(added, field, decode.faults(field, raw)) end
+      if way == "raised" then append_help(added, field, band(raw, field.alarm_bits)) end
     end
   end
   local faults = changed_faults(changes, way)

@@ -25,7 +25,7 @@ for i = 0, 255 do
 end
 
 -- For Lua 5.3 and later, whose operators are syntax errors before.
-local NATIVE = [[
+local native = load([[
   local TABLE, byte = ...
   return function(register, data, from, to)
     local index = from or 1
@@ -43,19 +43,19 @@ local NATIVE = [[
     end
     return register
   end
-]]
+]], "=wire.crc native")
 
 -- For Lua 5.2, where a call costs more than a table look-up.  A step takes eight bytes, each
 -- through a table of its own.  Arithmetic splits the register into its four bytes, which go through
 -- tables, too.
-local function with_library(library)
-  local bxor, lshift, rshift = library.bxor, library.lshift, library.rshift
+local function with_library()
+  local bxor, lshift, rshift = bits.bxor, bits.lshift, bits.rshift
   local NEXT = { [0] = TABLE }
   for k = 1, 7 do
     NEXT[k] = {}
     for i = 0, 255 do
       local register = NEXT[k - 1][i]
-      NEXT[k][i] = bxor(lshift(register, 8), TABLE[rshift(register, 24)]) % 0x100000000
+      NEXT[k][i] = bxor(lshift(register, 8), TABLE[rshift(register, 24)])
     end
   end
   local T0, T1, T2, T3 = NEXT[0], NEXT[1], NEXT[2], NEXT[3]
@@ -72,13 +72,12 @@ local function with_library(library)
       local x = register % 0x100
       local w = (register - x) / 0x100
       register = bxor(T7[w], T6[x], T5[y], T4[z],
-        T7[a], T6[b], T5[c], T4[d], T3[e], T2[f], T1[g], T0[h]) % 0x100000000
+        T7[a], T6[b], T5[c], T4[d], T3[e], T2[f], T1[g], T0[h])
       index = index + 8
     end
     for i = index, to do
       local low = register % 0x1000000
       register = bxor(low * 0x100, T0[(register - low) / 0x1000000], T0[byte(data, i)])
-        % 0x100000000
     end
     return register
   end
@@ -89,8 +88,7 @@ end
 -- data      string
 -- from, to  1-based, inclusive; the whole string when left out
 -- returns   the new register, 0 .. 0xFFFFFFFF.  Document: "CRC Calculation".
-M.update = bits.library and with_library(bits.library)
-  or load(NATIVE, "=wire.crc native")(TABLE, byte)
+M.update = native and native(TABLE, byte) or with_library()
 
 --- The CRC of a string, from the initial value.
 function M.of(data)
