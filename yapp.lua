@@ -141,8 +141,8 @@ local function register_start(id, seq)
   end
 end
 
--- What statistics and the history need of the preferences; read_preferences fills it.
-local settings = { version = VERSION, catalogue = catalogue }
+-- What others need of the preferences, see stat.taps; read_preferences fills it.
+local settings = { version = VERSION, catalogue = catalogue, accepts_all = false }
 
 -- What reads and shows YAPP; nil until something needs it, see make_reading.
 local reading, builder, frames, streams
@@ -168,7 +168,8 @@ local function make_reading()
     taurus_fields = taurus_fields,
     names = default_names,
   }
-  frames = can_dissector.new(reading, show_frame.new(builder), builder, buses, register_start)
+  frames = can_dissector.new(reading, show_frame.new(builder), builder, buses, register_start,
+    settings)
   streams = serial_dissector.new(reading, show_packet.new(builder), builder, buses, tcp_header)
   reset_reading()
 end
@@ -192,14 +193,14 @@ end
 
 -- A call that began and did not end failed: with a Lua error, which Wireshark shows in the packet
 -- alone.
-local begun, ended = 0, 0
+local calls = { begun = 0, ended = 0 }
 
 local function counted(call)
   return function(...)
-    begun = begun + 1
+    calls.begun = calls.begun + 1
     if not streams then make_reading() end
     local result = call(...)
-    ended = ended + 1
+    calls.ended = calls.ended + 1
     return result
   end
 end
@@ -224,10 +225,10 @@ all.dissector = counted(dissect_any)
 -- The heuristic sees every frame that no other dissector accepts.  With the preference
 -- yapp.all_extended it accepts them; for a statistic it notes them.  It costs time for each such
 -- CAN frame of every capture, so it is registered only when one of the two needs it.
-local accepts_all, is_heuristic = false, false -- accepts_all: the preference
+local is_heuristic = false
 
 local function unclaimed(tvb, pinfo, root)
-  if accepts_all then return dissect_any(tvb, pinfo, root) > 0 end
+  if settings.accepts_all then return dissect_any(tvb, pinfo, root) > 0 end
   frames.deferral:note(tvb, pinfo)
   return false
 end
@@ -239,14 +240,12 @@ local function watch_unclaimed()
   all:register_heuristic("can", counted(unclaimed))
 end
 
--- Called from the table of ids, where match_uint is the CAN id.
-function yapp.dissector(tvb, pinfo, root) -- counted, without the call that this costs
-  begun = begun + 1
-  if not streams then make_reading() end
-  local length = frames:dissect(tvb, pinfo, root, pinfo.match_uint, accepts_all)
-  ended = ended + 1
-  return length
-end
+-- The first frame makes the reading, and gives the table of ids the dissector of the others.
+yapp.dissector = counted(function(tvb, pinfo, root)
+  local dissect = frames:of_table(calls)
+  yapp.dissector = dissect
+  return dissect(tvb, pinfo, root)
+end)
 
 serial.dissector = counted(function(tvb, pinfo, root)
   return streams:dissect(tvb, pinfo, root)
@@ -318,14 +317,14 @@ local function make_statistics()
     frames = frames,
     deferral = frames.deferral,
     counted = counted,
-    failures = function() return begun - ended end,
+    calls = calls,
     watch = function()
       watch_unclaimed()
       if not gui_enabled() then search_streams() end
     end,
     -- A wrapper that is there when Wireshark reloads its Lua plugins takes SocketCAN away with it.
     unwatch = function()
-      if not accepts_all then socketcan.unwrap() end
+      if not settings.accepts_all then socketcan.unwrap() end
     end,
   }
 end
@@ -368,8 +367,8 @@ local function read_preferences()
   preferences.complain_once(wrong)
   local hidden = { source = prefs.hide_source, values = prefs.hide_values }
   types:use(by_id, sources, hidden, register_id)
-  accepts_all = prefs.all_extended
-  if accepts_all then watch_unclaimed() end
+  settings.accepts_all = prefs.all_extended
+  if settings.accepts_all then watch_unclaimed() end
   settings.late, settings.ids = late, chosen
   settings.sources, settings.sources_text = sources, prefs.sources
   settings.problems = list_problems(wrong)
@@ -377,13 +376,13 @@ end
 yapp.prefs_changed = read_preferences
 
 function yapp.init()
-  begun, ended = 1, 0
+  calls.begun, calls.ended = 1, 0
   read_preferences()
   buses:init()
   socketcan.init()
   -- A first pass without trees tells a remote frame from data by its header alone.  The page in a
   -- browser pays for that; Wireshark's windows and sharkd, whose captures may be long, do not.
-  if yapp_reads_headers then socketcan.wrap(header, not accepts_all) end
+  if yapp_reads_headers then socketcan.wrap(header, not settings.accepts_all) end
   types:reset(buses:are_several())
   if stat then
     stat:reset()
@@ -396,7 +395,7 @@ function yapp.init()
     streams:scan(found.head)
   end
   if yapp.prefs.search_all or found.may_have_frames then search_streams() end
-  ended = 1
+  calls.ended = 1
 end
 
 -- Registration ------------------------------------------------------------------------------------

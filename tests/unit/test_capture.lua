@@ -116,6 +116,19 @@ end
 
 -- Buses -------------------------------------------------------------------------------------------
 
+-- A read filter drops packet 2 of 4, so that packets 3 and 4 are called 2 and 3.
+function T.test_finder_stops_where_numbers_shift()
+  local found = read(section(le) .. interface(CAN, le) .. interface(CAN, le) .. packet(0, "x", le, 1000000) ..
+    packet(1, "x", le, 2000000) .. packet(0, "x", le, 3000000) .. packet(1, "x", le, 4000000))
+  local function later(number) return "later " .. number, true end
+  local function ask(find, number, seconds) return { find(number, 0, { abs_ts = seconds }) } end
+  local find, finds_all = found:bus_finder(true, later), found:bus_finder(false, later)
+  lu.assertEquals({ ask(find, 1, 1), ask(find, 2, 3), ask(find, 3, 3), ask(find, 5, 5) },
+    { { 1, true }, { nil, false }, { nil, false }, { "later 5", true } })
+  -- In Wireshark the user may shift times.
+  lu.assertEquals({ ask(finds_all, 1, 1), ask(finds_all, 2, 3) }, { { 1, true }, { 2, true } })
+end
+
 function T.test_buses()
   for _, number in ipairs { le, be } do
     local rows = {

@@ -74,18 +74,65 @@ function M.watch()
   return self
 end
 
+-- The bus by the fields of the current packet; nil where they do not tell it.
+local function bus_by_fields(found)
+  local fields = socketcan.fields_of(NAMES)
+  local interface, index = fields["frame.interface_id"], fields["sll.ifindex"]
+  local event, name = fields["rtacser.eventtype"], fields["frame.interface_name"]
+  if not (interface or index or event) then return nil end
+  if name == "unknown" then name = nil end
+  local section = fields["frame.section_number"] or 1
+  local direction = fields["frame.packet_flags_direction"]
+  return found:bus_by_fields(section, interface or 0, index or 0, event, name, direction)
+end
+
+-- Find the bus of a packet behind those that were read when the file was opened.
+-- returns  as find_bus
+local function find_later(self, number)
+  local bus = self.kept[number] or bus_by_fields(self.found)
+  -- The bus that was the only one when the file was opened stays without a number.
+  if not self.found.has_several and (bus or 1) == 1 then return nil, true end
+  self.kept[number] = bus
+  return bus, bus ~= nil
+end
+
+-- The least offset of CAN data inside an Ethernet frame (IEEE 1722): it is of that one's interface,
+-- which is known if it is the only one.
+local IN_ETHERNET = 42
+
+-- Find the bus of a packet, see Buses:init.
+-- in_file  of Capture:bus_finder
+local function find_bus(self, in_file, number, offset, pinfo)
+  local found, bus, name = self.found, nil, nil
+  if not found.is_told then bus, name = file_readers.current() end
+  if bus then
+    found.names[bus] = name
+    return bus, true
+  end
+  if found.has_several then return in_file(number, offset, pinfo) end
+  if number > found.count and self.tap then return find_later(self, number) end
+  local is_inside = offset >= IN_ETHERNET and found.carriers < 2
+  return nil, not found.is_unknown or is_inside
+end
+
+-- Return whether fields tell the bus of packets behind those that were read.
+local function are_fields_needed(self)
+  local found = self.found
+  -- A short file may be of a live capture that already had packets when it was opened.
+  local may_go_on = self.is_short and found.has_several or found.is_live
+  local is_open = self.is_long_pipe and found.yapp_interfaces > 0
+  return may_go_on or is_open or self:missed_file()
+end
+
 --- Use the file that was seen last: it is about to be dissected.  Files seen before it did not
 -- open, or were only previewed in a file dialog.
 function Buses:init()
   local found = self.seen
-  self.found, self.is_shifted = found, false
+  self.found = found
   self.found_stamps_differ = self.seen_stamps_differ
   self.plain_bus = file_readers.log().plain_bus
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
-  -- A short file may be of a live capture that already had packets when it was opened.
-  local may_go_on = self.is_short and found.has_several or found.is_live
-  local needs_fields = may_go_on or self.is_long_pipe and found.yapp_interfaces > 0
-    or self:missed_file()
+  local needs_fields = are_fields_needed(self)
   self.bus_is_per_packet = needs_fields or found.has_several or
     not (found.is_told or self.plain_bus)
   if needs_fields then
@@ -93,6 +140,16 @@ function Buses:init()
   elseif self.tap then
     self.tap:remove()
     self.tap = nil
+  end
+  local in_file = found:bus_finder(IS_TSHARK, function(number) return find_later(self, number) end)
+  local is_all_told = found.is_told and found.has_several and not self.tap
+  --- Return where the current packet was captured.
+  -- number   of the packet, which Wireshark need not be asked for again
+  -- offset   of the bytes in the packet
+  -- returns  the number of its bus, nil if the capture has only one or nothing tells it; and
+  --          whether the bus is known
+  self.of = is_all_told and in_file or function(number, offset, pinfo)
+    return find_bus(self, in_file, number, offset, pinfo)
   end
 end
 
@@ -136,56 +193,6 @@ end
 function Buses:time(pinfo)
   local start = self.found.start
   return start and pinfo.abs_ts - start or pinfo.rel_ts
-end
-
--- The bus by the fields of the current packet; nil where they do not tell it.
-local function bus_by_fields(found)
-  local fields = socketcan.fields_of(NAMES)
-  local interface, index = fields["frame.interface_id"], fields["sll.ifindex"]
-  local event, name = fields["rtacser.eventtype"], fields["frame.interface_name"]
-  if not (interface or index or event) then return nil end
-  if name == "unknown" then name = nil end
-  local section = fields["frame.section_number"] or 1
-  local direction = fields["frame.packet_flags_direction"]
-  return found:bus_by_fields(section, interface or 0, index or 0, event, name, direction)
-end
-
--- Find the bus of a packet behind those that were read when the file was opened.
--- returns  as Buses:of
-local function find_later(self, number)
-  local bus = self.kept[number] or bus_by_fields(self.found)
-  -- The bus that was the only one when the file was opened stays without a number.
-  if not self.found.has_several and (bus or 1) == 1 then return nil, true end
-  self.kept[number] = bus
-  return bus, bus ~= nil
-end
-
--- The least offset of CAN data inside an Ethernet frame (IEEE 1722): it is of that one's interface,
--- which is known if it is the only one.
-local IN_ETHERNET = 42
-
---- Return where the current packet was captured.
--- number   of the packet, which Wireshark need not be asked for again
--- offset   of the bytes in the packet
--- returns  the number of its bus, nil if the capture has only one or nothing tells it; and whether
---          the bus is known
-function Buses:of(pinfo, number, offset)
-  local found, bus, name = self.found, nil, nil
-  if not found.is_told then bus, name = file_readers.current() end
-  if bus then
-    found.names[bus] = name
-    return bus, true
-  end
-  if number > found.count and (self.tap or found.has_several) then
-    return find_later(self, number)
-  end
-  if not found.has_several then
-    local is_inside = offset >= IN_ETHERNET and found.carriers < 2
-    return nil, not found.is_unknown or is_inside
-  end
-  bus = not self.is_shifted and found:bus(number, IS_TSHARK and pinfo.abs_ts or nil)
-  self.is_shifted = not bus
-  return bus or nil, not self.is_shifted
 end
 
 --- Return the name of a bus.

@@ -29,13 +29,16 @@ Dissector.__index = Dissector
 -- builder      a show.tree
 -- buses        a host.buses
 -- register_start  function(id, seq), which makes Wireshark call YAPP for the frames behind a Start
-function M.new(reading, view, builder, buses, register_start)
+--              of an unknown ID
+-- settings     its accepts_all: the preference yapp.all_extended
+function M.new(reading, view, builder, buses, register_start, settings)
   local self = setmetatable({
     reading = reading,
     view = view,
     builder = builder,
     buses = buses,
     register_start = register_start,
+    settings = settings,
     frame = records.new_can_frame(),
   }, Dissector)
   self.deferral = deferral.new(reading, builder, buses, function(...) self:dissect(...) end)
@@ -57,7 +60,7 @@ end
 local function fill_frame(self, tvb, reported, pinfo, tree, id, accepts_all, is_deferred)
   local frame, number, offset = self.frame, pinfo.number, self.offset or offset_of(tvb)
   if self.bus_is_per_packet then
-    local bus, is_bus_known = self.buses:of(pinfo, number, offset)
+    local bus, is_bus_known = self.buses.of(number, offset, pinfo)
     frame.bus, frame.is_bus_known = bus or false, is_bus_known
   end
   local fields, key, builder = fields_of[id], number * PACKET + offset, self.builder
@@ -81,6 +84,11 @@ end
 --- Return whether a later packet was dissected before this one, as in the second pass of two.
 function Dissector:is_second_pass(number)
   return frame_key.number(self.reading.newest_key) > number
+end
+
+-- Register the ids of the frames behind the Start of an unknown message.
+local function register_unknown(self, frame)
+  if frame.can_id.ctrl == START then self.register_start(frame.can_id.id, frame.seq) end
 end
 
 --- Dissect one frame.
@@ -107,9 +115,21 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
     self.deferral:note(tvb, pinfo)
     return 0
   end
-  if ctrl == START then self.register_start(frame.can_id.id, frame.seq) end
+  if not frame.source.message then register_unknown(self, frame) end
   self.view:show(result, wants, tvb, pinfo, tree)
   return reported
+end
+
+--- Return the dissector for SocketCAN's table of ids, where match_uint is the CAN id.
+-- calls  { begun, ended = numbers }, which it counts
+function Dissector:of_table(calls)
+  return function(tvb, pinfo, tree)
+    calls.begun = calls.begun + 1
+    local accepts_all = self.settings.accepts_all
+    local length = self:dissect(tvb, pinfo, tree, pinfo.match_uint, accepts_all)
+    calls.ended = calls.ended + 1
+    return length
+  end
 end
 
 --- Dissect a frame that the user calls YAPP, but whose CAN id is not known.

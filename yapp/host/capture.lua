@@ -601,6 +601,21 @@ function Capture:bus(number, captured)
   return self.merged[bus] or bus
 end
 
+--- Return a function(number, offset, pinfo), which finds the bus of each packet in their order.  It
+-- returns the bus, nil where it is not known; and whether it is known.  Once a packet is another
+-- than the file's, all that follow are.
+-- compares_times  whether pinfo.abs_ts is when the packet was captured
+-- later           function(number): the same for packets that were not read
+function Capture:bus_finder(compares_times, later)
+  local is_shifted = false
+  return function(number, _, pinfo)
+    if number > self.count then return later(number) end
+    local bus = not is_shifted and self:bus(number, compares_times and pinfo.abs_ts or nil)
+    is_shifted = not bus
+    return bus or nil, not is_shifted
+  end
+end
+
 -- Return a bus of an interface; the parameters are those of Capture:bus_by_fields.
 local function bus_in(self, interface, index, event, direction)
   if direction and IS_SERIAL[interface.linktype] then

@@ -122,7 +122,7 @@ local function new_frame(self, tvb, pinfo, id)
   frame.can_id = can_id.fields[id]
   frame.seq = frame.can_id.seq
   frame.data, frame.reported = tvb:raw(self.offset, self.captured), self.length
-  frame.bus = self.buses.bus_is_per_packet and self.buses:of(pinfo, number, self.offset) or false
+  frame.bus = self.buses.bus_is_per_packet and self.buses.of(number, self.offset, pinfo) or false
   return frame
 end
 

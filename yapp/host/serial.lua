@@ -56,7 +56,7 @@ end
 local function line_of(self, pinfo)
   local kind, from, bus, is_bus_known, time = pinfo.port_type, tostring(pinfo.src), nil, true, nil
   if not lines.is_ip(kind, from) then
-    bus, is_bus_known = self.buses:of(pinfo, pinfo.number, 0)
+    bus, is_bus_known = self.buses.of(pinfo.number, 0, pinfo)
   elseif not pinfo.visited then
     time = self.buses:time(pinfo)
   end

@@ -42,7 +42,7 @@ Stat.__index = Stat
 --   watch      function(), called when statistics begin
 --   unwatch    function(), called in Wireshark when one has ended
 --   counted    function(f) -> f, whose calls are counted
---   failures   function() -> number of such calls that failed since the capture was opened }
+--   calls      { begun, ended = numbers }: of these calls since the capture was opened }
 function M.new(parts)
   parts.show = nil -- in Wireshark: function(text), which opens the window of an argument of -z
   parts.total = 0 -- in Wireshark: number of packets in the capture, see count_packets
@@ -174,7 +174,7 @@ end
 
 -- End all statistics; return the exit code, and a list of texts to say.
 local function finish(self)
-  local failures, unread = self.failures(), unread_of(self)
+  local failures, unread = self.calls.begun - self.calls.ended, unread_of(self)
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
   local reading, buses, deferral = self.reading, self.buses, self.deferral
   local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
