@@ -86,6 +86,16 @@ function Dissector:is_second_pass(number)
   return frame_key.number(self.reading.newest_key) > number
 end
 
+-- Return how many bytes are ours of a frame of zeros that is not dissected now: none of a remote
+-- frame, all of one that waits for a tap; nil to dissect it.
+local function pass_over(self, frame, tvb, pinfo, tree, id)
+  if frame.visited and frame.can_id.ctrl ~= 0 then return nil end -- it was taken for a fragment
+  local is_remote = socketcan.is_remote(pinfo)
+  if is_remote then return 0 end
+  local waits = is_remote == nil and self.deferral:defer(tvb, pinfo, tree, id, frame.accepts_all)
+  return waits and frame.reported or nil
+end
+
 -- Register the ids of the frames behind the Start of an unknown message.
 local function register_unknown(self, frame)
   if frame.can_id.ctrl == START then self.register_start(frame.can_id.id, frame.seq) end
@@ -100,15 +110,9 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
   local reported = length or reported_of(tvb)
   if reported == 0 then return 0 end
   local frame, wants = fill_frame(self, tvb, reported, pinfo, tree, id, accepts_all, length)
-  local visited, ctrl, reading = frame.visited, frame.can_id.ctrl, self.reading
-  -- On a revisit, a fragment has been taken for one.
-  if ZEROS[frame.data] and not (visited and ctrl ~= 0) then
-    local is_remote = socketcan.is_remote(pinfo)
-    if is_remote then return 0 end
-    if is_remote == nil and self.deferral:defer(tvb, pinfo, tree, id, accepts_all) then
-      return reported
-    end
-  end
+  local passed = ZEROS[frame.data] and pass_over(self, frame, tvb, pinfo, tree, id)
+  if passed then return passed end
+  local visited, reading = frame.visited, self.reading
   local result = visited and reading:recall_frame(frame)
   if not visited then result = reading:add_frame(frame) end
   if not result then
@@ -116,7 +120,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
     return 0
   end
   if not frame.source.message then register_unknown(self, frame) end
-  self.view:show(result, wants, tvb, pinfo, tree)
+  if wants.shows or not result.is_usual then self.view:show(result, wants, tvb, pinfo, tree) end
   return reported
 end
 

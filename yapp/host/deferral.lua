@@ -11,9 +11,9 @@
 -- Without a deferral, a wrapper in front of SocketCAN reads all headers (host.socketcan).  Frames
 -- that are shown cannot be deferred, because a tap has no tree.  So:
 --
---   NEVER ──allow──► MAYBE ──decide: nothing is shown──► ALWAYS, and the wrapper ends
---     ▲                │
---     └──── decide: a tree or columns are shown
+--   none ──allow──► is_undecided ──decide: nothing is shown──► defers, and the wrapper ends
+--    ▲                   │
+--    └──── decide: a tree or columns are shown
 
 local can_id = require "yapp.wire.can_id"
 local frame_key = require "yapp.base.frame_key"
@@ -23,7 +23,6 @@ local socketcan = require "yapp.host.socketcan"
 local M = {}
 
 local number_of = frame_key.number
-local NEVER, MAYBE, ALWAYS = 0, 1, 2
 
 local Deferral = {}
 Deferral.__index = Deferral
@@ -40,7 +39,8 @@ function M.new(reading, builder, buses, dissect)
     buses = buses,
     dissect = dissect,
     on_note = false, -- function() while a statistic runs, see Deferral:open
-    state = NEVER,
+    is_undecided = false, -- whether frames may be deferred, see Deferral:decide
+    defers = false, -- whether they are
     -- The frame that waits:
     number = false, -- of its packet, or false
     offset = 0, -- of its data in the packet
@@ -55,7 +55,7 @@ end
 
 --- Forget the capture file.
 function Deferral:reset()
-  self.state, self.number = NEVER, false
+  self.is_undecided, self.defers, self.number = false, false, false
 end
 
 --- Begin to note frames: a statistic begins, and its tap of all packets calls Deferral:on_header.
@@ -77,19 +77,15 @@ end
 
 --- Allow to defer frames: this is tshark's only pass, and a tap sees every packet.
 function Deferral:allow()
-  self.state = MAYBE
+  self.is_undecided = true
 end
 
 --- Decide whether frames are deferred, once it is known whether anything is shown.
 -- wants  of Tree:wants, nil if it is not known yet
 function Deferral:decide(wants)
-  if self.state ~= MAYBE or not wants then return end
-  if wants.tree or wants.columns then
-    self.state = NEVER
-  else
-    self.state = ALWAYS
-    socketcan.unwrap()
-  end
+  if not (self.is_undecided and wants) then return end
+  self.is_undecided, self.defers = false, not (wants.tree or wants.columns)
+  if self.defers then socketcan.unwrap() end
 end
 
 --- Note a frame that no dissector has accepted yet.
@@ -107,9 +103,10 @@ end
 -- accepts_all  whether the user says that every extended frame is YAPP
 -- returns      whether the tap of its packet will dissect it
 function Deferral:defer(tvb, pinfo, tree, id, accepts_all)
-  if self.state == NEVER then return false end
-  self:decide(self.builder:wants(tree, pinfo, false)) -- asked now: the tap has no tree
-  if self.state ~= ALWAYS or not self:note(tvb, pinfo) then return false end
+  if self.is_undecided then -- asked now: the tap has no tree
+    self:decide(self.builder:wants(tree, pinfo, false))
+  end
+  if not (self.defers and self:note(tvb, pinfo)) then return false end
   self.deferred = { id = id, accepts_all = accepts_all }
   return true
 end
@@ -126,7 +123,8 @@ local function new_frame(self, tvb, pinfo, id)
   return frame
 end
 
---- Go on with the frame that waits, if it is of this packet.  A tap of all packets calls this.
+--- Go on with the frame that waits, if it is of this packet.  A tap of all packets calls this while
+-- `number` is set.
 -- tvb  of the packet
 function Deferral:on_header(pinfo, tvb)
   local number, deferred = self.number, self.deferred

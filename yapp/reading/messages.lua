@@ -44,6 +44,7 @@ local function new_message(frame, transfer)
     like = false, -- of an unknown message: the type that has its size, false for none
     copy_of = false, -- frame key of the message that it is a copy of, or false
     is_advised = false, -- whether Info says in full which preference decodes it
+    is_usual = false, -- whether it is good and decoded, and nothing else is to be said of it
     -- Of message.history:
     change = false, -- the change, or false
     delta = false, -- seconds since the source's previous good message, or false
@@ -90,6 +91,11 @@ local function add_history(self, message, frame)
   if message.source.line and message.status ~= "good" then message.delta = false end
 end
 
+local function is_usual(message)
+  if message.status ~= "good" or not message.raws then return false end
+  return not (message.remarks or message.undecoded or message.copy_of or message.change)
+end
+
 --- Read the message of a transfer.
 -- frame     that ends it, see reading.records
 -- transfer  { status, size, payload }; status = "good" if it is proved complete; "bad" (CRC);
@@ -106,6 +112,7 @@ function Messages:read(frame, transfer)
     message.copy_of = self.copies:find(message, frame.is_only_pass) or false
   end
   if not (message.is_unreliable or message.copy_of) then add_history(self, message, frame) end
+  message.is_usual = is_usual(message)
   return message
 end
 

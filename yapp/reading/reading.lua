@@ -42,8 +42,8 @@ function M.new(types, buses)
   }, Reading)
 end
 
---- Report results from now on.
--- listener  gets each result, as listener:report(result); false for no listener
+--- Report results from now on, but for plain fragments: nobody needs to hear of these.
+-- listener  gets each, as listener:report(result); false for no listener
 function Reading:listen(listener)
   self.listener = listener
 end
@@ -79,15 +79,19 @@ end
 
 -- CAN ---------------------------------------------------------------------------------------------
 
+-- Return the message that a frame ends, false for none.
+local function message_of(self, of_frame, kind, transfer)
+  if kind ~= "last" and kind ~= "single" then return false end
+  local message = self.messages:read(of_frame, transfer)
+  local is_kept = kind == "single" or of_frame.visited or of_frame.is_only_pass
+  if not is_kept then self.reassembly:keep(transfer, message.has_fault) end
+  return message
+end
+
 -- Return the result of a frame.
 -- kind ...  of can.reassembly
 local function new_frame_result(self, of_frame, kind, transfer, anomalies, index)
-  local result, message = self.result, false
-  if kind == "last" or kind == "single" then
-    message = self.messages:read(of_frame, transfer)
-    local is_kept = kind == "single" or of_frame.visited or of_frame.is_only_pass
-    if not is_kept then self.reassembly:keep(transfer, message.has_fault) end
-  end
+  local result, message = self.result, message_of(self, of_frame, kind, transfer)
   self.accepted_key = of_frame.key
   result.kind = kind
   result.frame = of_frame
@@ -95,7 +99,10 @@ local function new_frame_result(self, of_frame, kind, transfer, anomalies, index
   result.message = message
   result.anomalies = anomalies or false
   result.index = index or false
-  return report(self, result)
+  local is_plain = not anomalies and #of_frame.data == of_frame.reported
+  result.is_usual = is_plain and (not message or message.is_usual)
+  if message or anomalies then report(self, result) end
+  return result
 end
 
 --- Add the next frame of the capture.

@@ -59,6 +59,7 @@ function M.new_result(kind, frame)
     anomalies = false, -- list of { expert, text, ... }, see can.reassembly; or false
     index = false, -- of the frame in its transfer, on a revisit; or false
     length = 0, -- number of bytes: of skipped ones; size of an undissected message
+    is_usual = false, -- whether it needs no expert item; known of CAN frames
   }
 end
 

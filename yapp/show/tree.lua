@@ -75,12 +75,12 @@ local function is_only_pass(tree, has_columns)
   return tree.visible or has_columns and not (FILTERS_COLUMNS and pcall(all_field_infos))
 end
 
-local LIST = { columns = true } -- a packet list of Wireshark, or of later passes
+local LIST = { columns = true, shows = true } -- a packet list of Wireshark, or of later passes
 
 -- Ask Wireshark which parts of a packet are wanted.
 local function ask(self, tree)
   -- The API takes a dissector here, and ours exist only after loading.
-  local wants = { columns = true }
+  local wants = { columns = true, shows = true }
   wants.yapp = tree:referenced(Dissector.get("yapp"))
   wants.taurus = tree:referenced(Dissector.get("taurus"))
   wants.tree = wants.yapp or wants.taurus
@@ -94,6 +94,7 @@ local function ask_first(self, tree, pinfo)
   local has_columns = tostring(pinfo.cols.info) ~= NO_COLUMN
   local wants = tree.hidden and ask(self, tree) or {}
   wants.columns = has_columns
+  wants.shows = has_columns or wants.tree or wants.names
   wants.plans = {}
   wants.is_only_pass = self.is_only_pass or is_only_pass(tree, has_columns)
   wants.state = wants.taurus and self.messages:wants_state(tree)
@@ -109,6 +110,7 @@ end
 --   state         whether the state of messages that change nothing is wanted, too
 --   names         whether the names of the protocols are wanted although the above are not, see
 --                 Tree:add_protocol_names
+--   shows         whether anything but expert items is wanted
 --   columns       whether there are columns: tshark has them for a packet list, and not with -V,
 --                 -q, most of -T or in a first pass of two
 --   plans         see show.taurus, nil where the answer may change
@@ -276,9 +278,8 @@ end
 -- where something is wrong: Wireshark's list of expert items has no such column.
 local function values_text(message)
   local source = message.source
-  local is_remarkable = message.remarks or message.change or message.copy_of
-  local is_usual = message.status == "good" and not is_remarkable
-  return (is_usual and source.short or source.label) .. "  " .. source.write(message.raws)
+  local name = message.is_usual and source.short or source.label
+  return name .. "  " .. source.write(message.raws)
 end
 
 --- Show a finished message: the message of the catalogue, or bytes.

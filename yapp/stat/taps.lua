@@ -115,18 +115,22 @@ end
 -- The tap that sees every packet.  In tshark it removes the tap of the clock once the exact time is
 -- known, but in a second pass.
 local function tap_packets(self)
-  local tap, clock = listen(self), tap_clock(self)
-  local is_waiting = IS_TSHARK
+  local tap, clock, is_waiting = listen(self), tap_clock(self), IS_TSHARK
+  local calls, buses, deferral = self.calls, self.buses, self.deferral
 
-  tap.packet = self.counted(function(pinfo, tvb)
-    self.deferral:on_header(pinfo, tvb)
+  -- Every packet comes here, so nothing else is called that need not be.
+  function tap.packet(pinfo, tvb)
+    calls.begun = calls.begun + 1
+    if deferral.number then deferral:on_header(pinfo, tvb) end
     if is_waiting and self.is_exact then
       is_waiting = false
       if not self.frames:is_second_pass(pinfo.number) then end_trees(self, tap, clock) end
     end
-    self.deferral:decide(self.builder.wanted)
-    self.queue:packet(pinfo.number, self.buses:time(pinfo), self.buses:lacks_clock())
-  end)
+    if deferral.is_undecided then deferral:decide(self.builder.wanted) end
+    local rel = buses.found.start and buses:time(pinfo) or pinfo.rel_ts
+    self.queue:packet(pinfo.number, rel, buses:lacks_clock())
+    calls.ended = calls.ended + 1
+  end
 
   -- All packets will be revisited.  In Wireshark another window that wants to read while this
   -- statistic reads resets all taps, too, although Wireshark then goes on with this reading.
