@@ -7,7 +7,6 @@ local csv = require("yapp.stat.csv")
 local output = require("yapp.stat.output")
 local binary = require("yapp.message.binary")
 local field_kinds = require("yapp.message.field_kinds")
-local decode = require("yapp.message.decode")
 local text_of = require("yapp.message.text")
 
 local T = {}
@@ -245,7 +244,7 @@ end
 local function generated(m, hex)
   local raws, values = m.read(bytes(hex)), {}
   for i, item in ipairs(m.generated) do
-    local value = decode.derived(m, item, raws)
+    local value = field_kinds.value(item, raws)
     values[i] = value and tonumber(field_kinds.number_text(item, value)) or "-"
   end
   return values
@@ -313,7 +312,7 @@ function T.test_payloads_that_are_shorter()
   local infos = { [1] = "One - - -", [9] = "One 1.000000000 s - -", [17] = "One 1.000000000 s ab true" }
   for length, text in pairs(infos) do
     local raws, remarks = m.read(payload:sub(1, length))
-    lu.assertEquals({ m.write_info(raws), remarks, text_of.faults(m, raws) }, { text, false, "" })
+    lu.assertEquals({ text_of.writer_of(m.info)(raws), remarks, text_of.faults(m, raws) }, { text, false, "" })
   end
 end
 
@@ -390,8 +389,8 @@ function T.test_info_with_units()
   local units = catalogue.compile({ { name = "m", title = "M", id = 1, size = 3, min_size = 2,
     info = "{a unit}, {b:%.1f unit} {b:%.0f} {c unit}", { "a", "uint8", "A", unit = "%" },
     { "b", "float8", "B", min = 0, max = 25, unit = "V" }, { "c", "uint8", "C", unit = "°C" } } }).messages[1]
-  lu.assertEquals(units.write_info { 7, 100, 9 }, "7 %, 10.0 V 10 9 °C")
-  lu.assertEquals(units.write_info { 7, 255, nil }, "7 %, NaN V NaN - °C")
+  lu.assertEquals(text_of.writer_of(units.info) { 7, 100, 9 }, "7 %, 10.0 V 10 9 °C")
+  lu.assertEquals(text_of.writer_of(units.info) { 7, 255, nil }, "7 %, NaN V NaN - °C")
 end
 
 -- A function has not room for any number of values.
@@ -402,9 +401,9 @@ function T.test_info_of_many_fields()
       { "b", "float16", "B", min = 0, max = 65530 } } }
     lu.assertEquals(problems, {})
     local m = compiled.messages[1]
-    lu.assertEquals(m.write_info((m.read("\7\3\0"))), ("7"):rep(count) ..
+    lu.assertEquals(text_of.writer_of(m.info)((m.read("\7\3\0"))), ("7"):rep(count) ..
       ("3"):rep(count))
-    lu.assertEquals(m.write_info((m.read("\7\255\255"))), ("7"):rep(count) ..
+    lu.assertEquals(text_of.writer_of(m.info)((m.read("\7\255\255"))), ("7"):rep(count) ..
       ("NaN"):rep(count))
   end
 end
@@ -418,10 +417,10 @@ function T.test_info_of_every_kind()
   local m = compiled.messages[1]
   local payload = bytes("ff" .. "97ff" .. "01" .. "616263" .. "00ff" .. "cdcc8c3f" .. "0000000000002000" ..
     "00ca9a3b00000000" .. "0000")
-  lu.assertEquals(m.write_info((m.read(payload))),
+  lu.assertEquals(text_of.writer_of(m.info)((m.read(payload))),
     "-1 -10.5 true abc 00ff 1.10 9007199254740992 1.000000000 s")
   payload = bytes("ff" .. "97ff" .. "02" .. "616263" .. "00ff" .. "ffffffff") .. payload:sub(14)
-  lu.assertEquals(m.write_info((m.read(payload))),
+  lu.assertEquals(text_of.writer_of(m.info)((m.read(payload))),
     "-1 -10.5 invalid 0x2 abc 00ff NaN 9007199254740992 1.000000000 s")
 end
 
@@ -430,8 +429,8 @@ function T.test_info_of_a_time_at_the_end()
   local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 8, info = "{t}",
     { "t", "int64_ns", "T" } } }
   local m, payload = compiled.messages[1], bytes("00ca9a3b00000000")
-  lu.assertEquals(m.write_info((m.read(payload))), "1.000000000 s")
-  lu.assertEquals(m.write_info((m.read(""))), "-")
+  lu.assertEquals(text_of.writer_of(m.info)((m.read(payload))), "1.000000000 s")
+  lu.assertEquals(text_of.writer_of(m.info)((m.read(""))), "-")
 end
 
 function T.test_many_fields_of_every_kind()

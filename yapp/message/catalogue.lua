@@ -149,12 +149,12 @@ end
 
 -- Generated values -------------------------------------------------------------------------------
 
--- Return the index of a field of numbers in its message.
+-- Return a field of numbers of a message.
 -- what  the item that needs it: "derived dc_power"
-local function number_index(message, what, name)
+local function number_field(message, what, name)
   local field = message.by_name[name]
   demand(field and field_kinds.is_number(field), "%s: %s is no field of numbers", what, shown(name))
-  return field.index
+  return field
 end
 
 -- Add a value that is worked out from two fields.
@@ -172,8 +172,8 @@ local function add_generated(message, what, name, text, title, unit)
     kind = "derived",
     shape = "%.7g",
     operator = operator,
-    a = number_index(message, what, a),
-    b = number_index(message, what, b),
+    a = number_field(message, what, a),
+    b = number_field(message, what, b),
   }
   table.insert(message.generated, item)
   return item
@@ -235,8 +235,8 @@ local function compile_message(entry, reserved, context)
   local size = fields.compile(message, entry, context)
   demand(size == entry.size, "size is %d, but the fields add up to %d bytes", entry.size, size)
   message.read = decode.new_reader(message)
-  message.write_info = text_of.compile_info(message, entry.info or "")
-  message.write_rest = text_of.compile_info(message, entry.info_rest or entry.info or "")
+  message.info = text_of.compile_info(message, entry.info or "")
+  message.info_rest = text_of.compile_info(message, entry.info_rest or entry.info or "")
   add_all_generated(message, entry)
   add_filters(message, reserved, context)
   return message
@@ -271,16 +271,14 @@ end
 --   fields, by_name, time (its first field of kind time)
 --   flag_fields (its fields of flags), alarms (those with a fault flag), fault_field (the first one
 --   whose flags are all faults)
---   generated: a list of the values that are worked out from two fields, see decode.derived: {
---   name, title, filter, unit, kind = "derived", shape, operator ("*", "-", "+"), a and b (indexes
---   of the fields) }
+--   generated: a list of the values that are worked out from two fields: { name, title, filter,
+--   unit, kind = "derived", shape, operator ("*", "-", "+"), a and b (the fields) }
 --   derived: those of them that are columns of CSV, too
 --   rounded: a list of the values for columns, { filter, field (or one of generated), shape }
 --   filters: a list of { filter, type, title, description, base, values, mask }, see show.fields
 --   states: the filters of its state, { [its name in message.history] = filter }
 --   fault_names: the filter of the names of all faults that are set, nil without fault flags
---   read (see decode.new_reader), write_info and, beside columns, write_rest (see
---   text.compile_info)
+--   read (see decode.new_reader), info and, beside columns, info_rest (see text.compile_info)
 -- A field has name, title, filter, filters (a list of it and those below it), index (in fields),
 -- offset, size in bytes, type, unit and section or nil, shape (a format with as many digits as its
 -- count can carry; nil for ieee and integers), and kind, with the values that its kind needs:

@@ -13,26 +13,6 @@ local KINDS = field_kinds.BY_NAME
 
 local MAX_KEPT = 100 -- bytes of a payload in local variables: a function has up to 200
 
--- Generated values -------------------------------------------------------------------------------
-
-local OPERATORS = {
-  ["*"] = function(a, b) return a * b end,
-  ["-"] = function(a, b) return a - b end,
-  ["+"] = function(a, b) return a + b end,
-}
-
---- Work out a generated value from its two fields.
--- item     of message.generated
--- returns  a number, unrounded; nil where one of the two fields has no value
-function M.derived(message, item, raws)
-  local a = field_kinds.value(message.fields[item.a], raws[item.a])
-  local b = field_kinds.value(message.fields[item.b], raws[item.b])
-  if not (a and b) then return nil end
-  -- COMPAT 5.4: products of integers wrap around
-  local value = OPERATORS[item.operator](a + 0.0, b + 0.0)
-  return value - value == 0 and value or nil -- it may be too large
-end
-
 -- Reading ----------------------------------------------------------------------------------------
 
 -- The reader of a message is made from Lua source: a loop over the fields takes 5 % more of a

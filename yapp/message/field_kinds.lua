@@ -106,7 +106,7 @@ end
 --- Return a number as a text with as many digits as its count can carry: "1.1" for
 -- 11 * 0.1 = 1.1000000000000001, so that a filter `== 1.1` matches it.
 -- field  or an item of message.generated
--- value  of M.value or decode.derived
+-- value  of M.value
 function M.number_text(field, value)
   if field.shape then return format(field.shape, value) end
   if type(value) == "string" then return value end -- an integer beyond 2^53
@@ -115,6 +115,15 @@ function M.number_text(field, value)
   if field.size == 4 then value = binary.shortest(value) end
   local text = format("%.15g", value)
   return tonumber(text) == value and text or format("%.17g", value)
+end
+
+--- Return a function(raw) -> the text of a number, nil where there is none, and then which special.
+function M.new_number_text(field)
+  return function(raw)
+    local value, special = M.value(field, raw)
+    if not value then return nil, special end
+    return M.number_text(field, value)
+  end
 end
 
 --- Return a text as a cell of CSV: in quotes where it must be.
@@ -128,45 +137,66 @@ local SPECIAL_WORDS = { [0] = "NaN", "+inf", "-inf", "above range", "below range
 local SPECIAL_CELLS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" }
 local BOOLS = { [0] = "false", "true" }
 
-local function number_info(field, raw, shape)
-  local value, special = M.value(field, raw)
-  return special and SPECIAL_WORDS[special] or shape:format(value)
+-- Functions that make a function(raw) -> the text of a field in Info, or its cells in CSV:
+
+local function number_info(field, shape)
+  return function(raw)
+    local value, special = M.value(field, raw)
+    return special and SPECIAL_WORDS[special] or format(shape, value)
+  end
 end
 
-local function number_cells(field, raw)
-  local value, special = M.value(field, raw)
-  return SPECIAL_CELLS[special] or M.number_text(field, value) .. ","
+local function number_cells(field)
+  local write = M.new_number_text(field)
+  return function(raw)
+    local text, special = write(raw)
+    return text and text .. "," or SPECIAL_CELLS[special]
+  end
 end
 
-local function code_info(field, raw)
-  if not field.values then return M.number_text(field, raw) end
-  return field.values[raw] or "invalid " .. (M.BY_NAME[field.kind].code or "0x%x"):format(raw)
+local function code_info(field)
+  local values, invalid = field.values, "invalid " .. (M.BY_NAME[field.kind].code or "0x%x")
+  return function(raw)
+    if not values then return M.number_text(field, raw) end
+    return values[raw] or format(invalid, raw)
+  end
 end
 
-local function code_cells(field, raw)
-  local text, values = M.number_text(field, M.value(field, raw)), field.values
-  if not values then return text end
-  return text .. "," .. M.quoted(values[raw] or "")
+local function code_cells(field)
+  local values = field.values
+  return function(raw)
+    local text = M.number_text(field, M.value(field, raw))
+    if not values then return text end
+    return text .. "," .. M.quoted(values[raw] or "")
+  end
 end
 
-local function text_info(field, raw)
-  return M.value(field, raw)
+local function text_info(field)
+  return function(raw) return M.value(field, raw) end
 end
 
-local function text_cells(field, raw)
-  return M.quoted(M.value(field, raw))
+local function text_cells(field)
+  return function(raw) return M.quoted(M.value(field, raw)) end
 end
 
-local function time_text(_, raw)
+local function time_text(raw)
   return binary.seconds(binary.time(raw, 0))
 end
 
-local function flags_cells(field, raw)
-  local texts = { M.number_text(field, raw) }
-  for i, flag in ipairs(field.flags) do
-    texts[i + 1] = bits.band(raw, flag.mask) ~= 0 and "1" or "0"
+local function flags_cells(field)
+  return function(raw)
+    local texts = { M.number_text(field, raw) }
+    for i, flag in ipairs(field.flags) do
+      texts[i + 1] = bits.band(raw, flag.mask) ~= 0 and "1" or "0"
+    end
+    return table.concat(texts, ",")
   end
-  return table.concat(texts, ",")
+end
+
+-- The cell of a generated value.
+local function derived_cells(item)
+  local write = M.new_number_text(item)
+  return function(raws) return write(raws) or "" end
 end
 
 -- Remarkable values ------------------------------------------------------------------------------
@@ -241,8 +271,8 @@ local function hexadecimal_if_enum(field)
 end
 
 -- Return a function that always returns this.
-local function always(name)
-  return function() return name end
+local function always(result)
+  return function() return result end
 end
 
 local function hex_digits(char)
@@ -266,6 +296,21 @@ end
 local function time_number(_, raw)
   local seconds, nanoseconds = binary.time(raw, 0)
   return seconds + nanoseconds / 1e9
+end
+
+local OPERATORS = {
+  ["*"] = function(a, b) return a * b end,
+  ["-"] = function(a, b) return a - b end,
+  ["+"] = function(a, b) return a + b end,
+}
+
+-- Work out a generated value from its two fields; nil where one of them has no value.
+local function derived_value(item, raws)
+  local a, b = M.value(item.a, raws[item.a.index]), M.value(item.b, raws[item.b.index])
+  if not (a and b) then return nil end
+  -- COMPAT 5.4: products of integers wrap around
+  local value = OPERATORS[item.operator](a + 0.0, b + 0.0)
+  return value - value == 0 and value or nil -- it may be too large
 end
 
 -- Return a kind with the parts of another, and its own.
@@ -313,9 +358,9 @@ local TEXT = {
 --   choose   function(field) -> function(field, payload), which reads the raw value
 --   value    function(field, raw) -> see M.value; nil where the raw is the value
 --   number   function(field, raw) -> the value as a number, nil where M.value is one
---   info     function(field, raw, shape) -> a text for Info; shape = for a fraction
+--   info     function(field, shape) -> a function(raw) -> a text for Info; shape = for a fraction
 --   column   type of its column in CSV and fields.json; unit = of a column without one of its own
---   cells    function(field, raw) -> its cells in CSV
+--   cells    function(field) -> a function(raw) -> its cells in CSV
 --   remark   function(field, raw, remarks), which appends to the list that decode.new_reader
 --            describes, for a remarkable value; nil if no value can be one
 --   source   its condition as source, see above: function(field, i)
@@ -337,9 +382,9 @@ M.BY_NAME = {
   }),
   bool = like(CODE, {
     filter = always("BOOLEAN"),
-    info = function(_, raw) return BOOLS[raw] or ("invalid 0x%x"):format(raw) end,
+    info = always(function(raw) return BOOLS[raw] or format("invalid 0x%x", raw) end),
     column = "bool",
-    cells = function(_, raw) return raw == 0 and "0" or "1" end,
+    cells = always(function(raw) return raw == 0 and "0" or "1" end),
     is_number = false,
   }),
   -- A compressed float.
@@ -360,10 +405,10 @@ M.BY_NAME = {
     shown = "time",
     choose = always(read_bytes),
     number = time_number,
-    info = function(_, raw) return time_text(nil, raw) .. " s" end,
+    info = always(function(raw) return time_text(raw) .. " s" end),
     column = "time",
     unit = "s",
-    cells = time_text,
+    cells = always(time_text),
   },
   -- A text ends at its first NUL.  A character that cannot be shown is \xnn.
   string = like(TEXT, {
@@ -376,9 +421,19 @@ M.BY_NAME = {
     shown = "plain",
     value = function(_, raw) return (raw:gsub(".", hex_digits)) end,
   }),
-  -- Worked out from two fields, see decode.derived.
-  derived = { column = "float", is_number = true },
+  -- Worked out from two fields; its raw value is the list of all.
+  derived = { column = "float", value = derived_value, cells = derived_cells, is_number = true },
 }
+
+--- Return a function(raw) -> the cells of a field in CSV.  It keeps the latest text: flags and the
+-- like seldom change.
+function M.cells_of(field)
+  local write, latest, text = M.BY_NAME[field.kind].cells(field), nil, nil
+  return function(raw)
+    if raw ~= latest then latest, text = raw, write(raw) end
+    return text
+  end
+end
 
 --- Return whether a field, or an item of message.generated, has numbers that are no codes.
 function M.is_number(field)

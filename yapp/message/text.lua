@@ -6,7 +6,6 @@
 -- value.
 
 local band = require "yapp.base.bits".band
-local decode = require "yapp.message.decode"
 local field_kinds = require "yapp.message.field_kinds"
 local input = require "yapp.base.input"
 local memo = require "yapp.base.memo"
@@ -27,7 +26,7 @@ local KINDS = field_kinds.BY_NAME
 
 local MAX_PIECES = 100 -- of a usual message: a function has up to 200 local variables
 local SOURCE = [[
-local WRITE, SHAPE, format = ...
+local WRITE, SHAPE, format, write_slowly = ...
 return function(raws)
 %s
 return format(%s)
@@ -37,30 +36,6 @@ end]]
 local function value_source(field, a)
   local steps, span = field.top - field_kinds.below_top, field.max - field.min
   return format("(%.17e + %s * %.17e) / %.17e", field.min * steps, a, span, steps)
-end
-
--- Make a function that writes a usual message, which has all fields and no reserved value, and
--- returns nil for any other.  It is made from Lua source: a loop over the pieces would make a
--- packet list 6 % slower, and a table 13 %.
-local function new_usual(pieces)
-  if #pieces > MAX_PIECES then return function() end end
-  local lines, writes, values, shapes = {}, {}, { "SHAPE" }, {}
-  for i, piece in ipairs(pieces) do
-    if type(piece) == "string" then
-      shapes[i] = piece:gsub("%%", "%%%%")
-    else
-      local a, raw = "a" .. i, piece.index and format("raws[%d]", piece.index) or "raws"
-      local condition, value = "not " .. a, format("WRITE[%d](%s)", i, a)
-      if piece.shape then
-        condition = format("%s or %s < 0 or %s > %.0f", condition, a, a, piece.field.ordinary)
-        value = value_source(piece.field, a)
-      end
-      lines[#lines + 1] = format("local %s = %s if %s then return nil end", a, raw, condition)
-      writes[i], shapes[i], values[#values + 1] = piece.write, piece.shape or "%s", value
-    end
-  end
-  local source = format(SOURCE, concat(lines, "\n"), concat(values, ", "))
-  return load(source, "=writer")(writes, concat(shapes), format)
 end
 
 -- Write the pieces one by one.
@@ -78,15 +53,38 @@ local function write_each(pieces, raws)
   return concat(texts)
 end
 
--- Return a function(raws) -> text that writes the pieces.
+-- Make a function(raws) -> text that writes a usual message, which has all fields and no reserved
+-- value, at once.  It is made from Lua source: a loop over the pieces would make a packet list 6 %
+-- slower, and a table 13 %.
 local function new_writer(pieces)
-  local below_top, write_usual
-  return function(raws)
-    if below_top ~= field_kinds.below_top then
-      below_top, write_usual = field_kinds.below_top, new_usual(pieces)
+  local function write_slowly(raws) return write_each(pieces, raws) end
+  if #pieces > MAX_PIECES then return write_slowly end
+  local lines, writes, values, shapes = {}, {}, { "SHAPE" }, {}
+  for i, piece in ipairs(pieces) do
+    if type(piece) == "string" then
+      shapes[i] = piece:gsub("%%", "%%%%")
+    else
+      local a, raw = "a" .. i, piece.index and format("raws[%d]", piece.index) or "raws"
+      local condition, value = "not " .. a, format("WRITE[%d](%s)", i, a)
+      if piece.shape then
+        condition = format("%s or %s < 0 or %s > %.0f", condition, a, a, piece.field.ordinary)
+        value = value_source(piece.field, a)
+      end
+      lines[#lines + 1] = format("local %s = %s if %s then return write_slowly(raws) end", a, raw,
+        condition)
+      writes[i], shapes[i], values[#values + 1] = piece.write, piece.shape or "%s", value
     end
-    return write_usual(raws) or write_each(pieces, raws)
   end
+  local source = format(SOURCE, concat(lines, "\n"), concat(values, ", "))
+  return load(source, "=writer")(writes, concat(shapes), format, write_slowly)
+end
+
+--- Return the function(raws) -> text that writes pieces: of M.compile_info, or of a row.
+function M.writer_of(pieces)
+  if pieces.below_top ~= field_kinds.below_top then -- the user may choose another divisor
+    pieces.below_top, pieces.write = field_kinds.below_top, new_writer(pieces)
+  end
+  return pieces.write
 end
 
 -- The Info column --------------------------------------------------------------------------------
@@ -103,12 +101,11 @@ local function info_piece(message, name, rest)
   input.demand(shape == "" or is_real and shape:find("^%%%.?%d?[fg]$"),
     "info: the format %s is not one for %s", input.shown(shape), name)
   if shape == "" then shape = is_real and "%.4g" end
-  local info = KINDS[field.kind].info
   return {
     field = field,
     index = field.index,
     shape = field.kind == "float" and shape,
-    write = function(raw) return info(field, raw, shape) end,
+    write = KINDS[field.kind].info(field, shape),
     absent = "-",
   }, before and " " .. field.unit
 end
@@ -116,7 +113,7 @@ end
 --- Compile the text of a message's values in Info.
 -- text     "{name:%.1f unit}" is "47.3 V"; "{name}" is without the unit, and with as many digits as
 --          make sense
--- returns  function(raws) -> the text.  It raises errors.
+-- returns  what M.writer_of takes.  It raises errors.
 function M.compile_info(message, text)
   local pieces, index = {}, 1
   while index do
@@ -127,7 +124,7 @@ function M.compile_info(message, text)
     pieces[#pieces + 1] = unit or nil
     index = to and to + 1
   end
-  return new_writer(pieces)
+  return pieces
 end
 
 --- Return the filter names of the flags that are set, undefined bits as one number:
@@ -217,24 +214,7 @@ function M.columns(message)
   return columns
 end
 
--- Return a function(raw) -> the cells of a field, which keeps the latest text: flags and the like
--- seldom change.
-local function new_cells(field)
-  local write, latest, text = KINDS[field.kind].cells, nil, nil
-  return function(raw)
-    if raw ~= latest then latest, text = raw, write(field, raw) end
-    return text
-  end
-end
-
-local function derived_cells(message, item)
-  return function(raws)
-    local value = decode.derived(message, item, raws)
-    return value and field_kinds.number_text(item, value) or ""
-  end
-end
-
--- [message] = function(raws) -> its cells
+-- [message] = the pieces of its cells
 local rows = memo(function(message)
   local pieces = {}
   each(message, function(field, columns)
@@ -243,18 +223,18 @@ local rows = memo(function(message)
       field = field,
       index = field.index,
       shape = field.kind == "float" and field.shape .. ",",
-      write = field.index and new_cells(field) or derived_cells(message, field),
+      write = field_kinds.cells_of(field),
       absent = (","):rep(#columns - 1),
     }
   end)
-  return new_writer(pieces)
+  return pieces
 end)
 
 --- Return the cells of a message, joined by commas, in the order of its columns; quoted where they
 -- must be, empty for fields that are absent.
 -- raws  of its reader
 function M.row(message, raws)
-  return rows[message](raws)
+  return M.writer_of(rows[message])(raws)
 end
 
 return M

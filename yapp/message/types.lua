@@ -2,6 +2,8 @@
 -- Which message type an ID carries on a bus, and what its source is called, as the user's
 -- preferences have it.  Pure Lua.
 
+local text_of = require "yapp.message.text"
+
 local M = {}
 
 local NONE = {}
@@ -68,7 +70,7 @@ end
 
 -- Return the function that writes the values in Info, nil without a message type.
 local function write_of(message, hides_values)
-  return message and (hides_values and message.write_rest or message.write_info)
+  return message and text_of.writer_of(hides_values and message.info_rest or message.info)
 end
 
 -- Return what a message is called: its title and the name of its source.  Without a name, the ID or
@@ -83,7 +85,7 @@ local function label_of(self, message, name, id, bus)
 end
 
 -- Return what the column Source has without a name: "can1 0x210", "10.0.0.1:14550 0x210", "0x210".
-local function text_of(self, id, bus, line)
+local function column_text(self, id, bus, line)
   local before = line and line.label or not line and self.has_several and bus
   return (before and before .. " " or "") .. ("0x%x"):format(id)
 end
@@ -118,7 +120,7 @@ function Types:new_source(id, bus_key, bus, line)
     label = label,
     short = self.hidden.source and title_of(message, id) or label,
     write = write_of(message, self.hidden.values),
-    text = name or text_of(self, id, bus, line),
+    text = name or column_text(self, id, bus, line),
     texts = {},
   }
 end

@@ -187,13 +187,7 @@ local set_generated = TreeItem.set_generated
 M.add = add
 M.add_le = TreeItem.add_le
 M.append_text = TreeItem.append_text
-
---- Add a generated item: no bytes of the packet hold its value.
--- pf       ProtoField, or a text
--- returns  the item
-function M.add_generated(item, pf, value)
-  return set_generated(add(item, pf, value))
-end
+M.set_generated = set_generated -- no bytes of the packet hold the item's value
 
 --- Add an expert item.
 -- item  nil in a tap, which has no tree
@@ -202,7 +196,7 @@ end
 --       stays the same for all packets
 function M.add_expert(item, name, text)
   if not item then return end
-  if text and item.visible then item = M.add_generated(item, text) end
+  if text and item.visible then item = set_generated(add(item, text)) end
   item:add_proto_expert_info(experts[name])
 end
 

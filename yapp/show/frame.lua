@@ -10,7 +10,7 @@ local M = {}
 
 local CTRL_NAMES, START = can_id.CTRL_NAMES, can_id.START
 local add, add_le, append_text = show_fields.add, show_fields.add_le, show_fields.append_text
-local add_generated = show_fields.add_generated
+local set_generated = show_fields.set_generated
 
 local FrameView = {}
 FrameView.__index = FrameView
@@ -42,9 +42,9 @@ local function add_item(self, frame)
   local item = add(self.tree, builder.yapp, self.range)
   append_text(item, (", %s, %s"):format(source.short, kind))
   builder:add_id(item, nil, source)
-  add_generated(item, fields.ctl, of_id.ctl)
-  add_generated(item, fields.seq, of_id.seq)
-  add_generated(item, fields["can.ctrl"], of_id.ctrl)
+  set_generated(add(item, fields.ctl, of_id.ctl))
+  set_generated(add(item, fields.seq, of_id.seq))
+  set_generated(add(item, fields["can.ctrl"], of_id.ctrl))
   builder:add_source(item, source)
   return item
 end
@@ -69,9 +69,9 @@ local function add_transfer(self, result)
   local frame, transfer, item, fields = result.frame, result.transfer, self.item, self.fields
   if #transfer > 1 then
     local payload = self.payload_tvb and self.payload_tvb()
-    add_generated(item, fields["reassembled.in"], number_of(frame.key))
-    append_text(add_generated(item, fields.size, transfer.size), " bytes")
-    add_generated(item, fields.reserved, transfer.reserved or 0)
+    set_generated(add(item, fields["reassembled.in"], number_of(frame.key)))
+    append_text(set_generated(add(item, fields.size, transfer.size)), " bytes")
+    set_generated(add(item, fields.reserved, transfer.reserved or 0))
     local crc = transfer.crc or can_id.crc(frame.can_id, transfer.payload)
     self.builder:add_crc(item, nil, transfer, crc)
     self.builder:add_fragments(item, payload or self.range, transfer, #transfer.payload, payload)
@@ -142,7 +142,7 @@ local function show_fragment(self, result)
   end
   if wants.yapp then
     add_fragment(self, result)
-    if in_number then add_generated(item, self.fields["reassembled.in"], in_number) end
+    if in_number then set_generated(add(item, self.fields["reassembled.in"], in_number)) end
     self.builder:add_has_fault(item, transfer.has_fault)
   end
   if not wants.columns then return end

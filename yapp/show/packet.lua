@@ -11,7 +11,7 @@ local M = {}
 
 local sub = string.sub
 local add, add_le = show_fields.add, show_fields.add_le
-local add_generated, append_text = show_fields.add_generated, show_fields.append_text
+local append_text, set_generated = show_fields.append_text, show_fields.set_generated
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local MAX_IN_INFO = 10 -- frames of a packet
 
@@ -42,7 +42,7 @@ local function add_item(self, result, tvb, tree)
   builder:add_source(item, source)
   if transfer.packet_keys then
     local range = #payload > 0 and tvb(offset + HEADER, #payload) or nil
-    add_generated(item, fields["reassembled.in"], frame_key.number(result.frame.key))
+    set_generated(add(item, fields["reassembled.in"], frame_key.number(result.frame.key)))
     builder:add_fragments(item, tvb(), transfer.packet_keys, transfer.length, range)
   end
   if transfer.missing then
@@ -132,7 +132,7 @@ local function show_pending(self, packet, contents, tvb, wants, item)
     item = add(item, builder.yapp, range)
     append_text(item, ", part of a frame")
     add(item, fields["fragment.data"], range)
-    if leads_to then add_generated(item, fields["reassembled.in"], leads_to) end
+    if leads_to then set_generated(add(item, fields["reassembled.in"], leads_to)) end
   end
   if contents.is_unfinished then builder:expert(item, "unfinished") end
   return pending_text(contents, builder.bytes(pending), leads_to)

@@ -1,10 +1,9 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The view of the Taurus messages: their trees and expert items.  Wireshark's API; the values come
--- from message.decode, the changes from the history.
+-- from message.field_kinds, the changes from the history.
 
 local binary = require "yapp.message.binary"
 local band = require "yapp.base.bits".band
-local decode = require "yapp.message.decode"
 local field_kinds = require "yapp.message.field_kinds"
 local frame_key = require "yapp.base.frame_key"
 local show_fields = require "yapp.show.fields"
@@ -14,11 +13,11 @@ local M = {}
 
 local add = show_fields.add
 local add_expert = show_fields.add_expert
-local add_generated = show_fields.add_generated
+local set_generated = show_fields.set_generated
 local add_le = show_fields.add_le
 local append_text = show_fields.append_text
 local fault_names, flag_names = text_of.fault_names, text_of.flag_names
-local number_text, value_of = field_kinds.number_text, field_kinds.value
+local value_of = field_kinds.value
 local format = string.format
 local range_of = Tvb.range
 local referenced = TreeItem.referenced
@@ -65,16 +64,13 @@ end
 function ADD.number(field, fields)
   local pf, special_pf = fields[field.filter], fields[field.special]
   local label, unit = (field.array or field).title .. ": ", field.unit and " " .. field.unit or ""
-  local bytes = " (0x%0" .. field.size * 2 .. "x)"
+  local bytes, write = " (0x%0" .. field.size * 2 .. "x)", field_kinds.new_number_text(field)
   return function(parent, range, raw)
-    local value, special = value_of(field, raw)
-    if special then
-      local text = label .. field_kinds.SPECIALS[special]
-      if field.kind == "float" and raw >= 0 then text = text .. format(bytes, raw) end
-      return set_text(add(parent, special_pf, range, special), text)
-    end
-    local text = number_text(field, value)
-    return add(parent, pf, range, tonumber(text), label .. text .. unit)
+    local text, special = write(raw)
+    if text then return add(parent, pf, range, tonumber(text), label .. text .. unit) end
+    text = label .. field_kinds.SPECIALS[special]
+    if field.kind == "float" and raw >= 0 then text = text .. format(bytes, raw) end
+    return set_text(add(parent, special_pf, range, special), text)
   end
 end
 
@@ -128,7 +124,7 @@ function ADD.flags(field, fields)
     if undefined_pf and undefined ~= 0 then add(item, undefined_pf, range, undefined) end
     if names == "" then return item end
     if pf then append_text(item, " (" .. names .. ")") end
-    if names_pf then set_hidden(add_generated(item, names_pf, names)) end
+    if names_pf then set_hidden(set_generated(add(item, names_pf, names))) end
     return item
   end
 end
@@ -195,7 +191,11 @@ local function make_plan(self, message, tree)
     end
   end
   for _, item in ipairs(message.generated) do
-    if referenced(tree, fields[item.filter]) then table.insert(plan.generated, item) end
+    local pf = fields[item.filter]
+    if referenced(tree, pf) then
+      local write = field_kinds.new_number_text(item)
+      table.insert(plan.generated, { item = item, pf = pf, write = write })
+    end
   end
   -- Values for columns are not among the details.
   for _, step in ipairs(tree.visible and NONE or message.rounded) do
@@ -264,7 +264,7 @@ end
 local function add_states(message, plan, item, is_fault)
   for _, step in ipairs(message.state and plan.states or NONE) do
     local value = step.is_fault == is_fault and message.state[step.name]
-    if value then add_generated(item, step.pf, step.show(value)) end
+    if value then set_generated(add(item, step.pf, step.show(value))) end
   end
 end
 
@@ -281,9 +281,9 @@ local function add_faults(message, plan, tree, top)
       here = (", for %.3f s"):format(message.state.active_time)
     end
     if active ~= "" then
-      item = append_text(add_generated(top, plan.names, active), here)
+      item = append_text(set_generated(add(top, plan.names, active)), here)
     elseif here ~= "" then
-      item = add_generated(top, "Faults: none" .. here)
+      item = set_generated(add(top, "Faults: none" .. here))
     end
   end
   add_states(message, plan, item or top, true)
@@ -292,22 +292,17 @@ end
 
 -- Add the values that are worked out from others.
 local function add_generated_values(self, message, plan, top)
-  local raws, of_type = message.raws, message.source.message
-  for _, item in ipairs(plan.generated) do
-    local value, pf = decode.derived(of_type, item, raws), self.fields[item.filter]
-    if value then
-      append_unit(add_generated(top, pf, tonumber(number_text(item, value))), item)
-    end
+  local raws, fields = message.raws, self.fields
+  for _, step in ipairs(plan.generated) do
+    local text = step.write(raws)
+    if text then append_unit(set_generated(add(top, step.pf, tonumber(text))), step.item) end
   end
   for _, step in ipairs(plan.rounded) do
-    local field, value = step.field, nil
-    if field.kind == "derived" then
-      value = decode.derived(of_type, field, raws)
-    elseif raws[field.index] then
-      value = value_of(field, raws[field.index])
-    end
+    local field, raw = step.field, raws
+    if field.index then raw = raws[field.index] end
+    local value = value_of(field, raw)
     -- Adding 0 makes -0 a 0.
-    if value then add_generated(top, self.fields[step.filter], step.shape:format(value) + 0) end
+    if value then set_generated(add(top, fields[step.filter], step.shape:format(value) + 0)) end
   end
 end
 
@@ -377,7 +372,8 @@ local function add_flags_changes(self, changes, way, top, item)
     local field, raw = one.field, one[way]
     local pf = self.fields[field.group .. "." .. way]
     if raw ~= 0 and referenced(top, pf) then
-      local added = append_text(add_generated(top, pf, raw), " (" .. flag_names(field, raw) .. ")")
+      local added = set_generated(add(top, pf, raw))
+      append_text(added, " (" .. flag_names(field, raw) .. ")")
       if way == "raised" then append_help(added, field, band(raw, field.alarm_bits)) end
     end
   end

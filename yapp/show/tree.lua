@@ -11,7 +11,7 @@ local number_of = require "yapp.base.frame_key".number
 local M = {}
 
 local add = show_fields.add
-local add_generated = show_fields.add_generated
+local set_generated = show_fields.set_generated
 local append_text = show_fields.append_text
 
 -- By status: crc.status, the text behind the CRC, and the text of the item.
@@ -150,7 +150,7 @@ end
 function Tree:add_id(item, range, source)
   local id, title = source.id, source.message and source.message.title
   local pf = self.fields.id
-  local added = range and add(item, pf, range, id) or add_generated(item, pf, id)
+  local added = range and add(item, pf, range, id) or set_generated(add(item, pf, id))
   if title == self.default_names[id] then return end
   added:set_text(("Message ID: %s (0x%08x)"):format(title or "Unknown", id))
 end
@@ -159,8 +159,8 @@ end
 -- source  of message.types
 function Tree:add_source(item, source)
   local fields = self.fields
-  if source.bus then add_generated(item, fields.bus, source.bus) end
-  add_generated(item, fields.source, source.text)
+  if source.bus then set_generated(add(item, fields.bus, source.bus)) end
+  set_generated(add(item, fields.source, source.text))
 end
 
 --- Add the frames that a message was put together from.
@@ -170,14 +170,14 @@ end
 -- payload  TvbRange of the message's payload, nil where it has none
 function Tree:add_fragments(item, whole, keys, length, payload)
   local fields = self.fields
-  local list = add_generated(item, fields.fragments, whole)
+  local list = set_generated(add(item, fields.fragments, whole))
   list:set_text(("%d fragments (%d bytes)"):format(#keys, length))
   for _, key in ipairs(keys) do
-    if key % 1 == 0 then add_generated(list, fields.fragment, number_of(key)) end
+    if key % 1 == 0 then set_generated(add(list, fields.fragment, number_of(key))) end
   end
-  add_generated(list, fields["fragment.count"], #keys)
-  add_generated(list, fields["reassembled.length"], length)
-  if payload then add_generated(list, fields["reassembled.data"], payload) end
+  set_generated(add(list, fields["fragment.count"], #keys))
+  set_generated(add(list, fields["reassembled.length"], length))
+  if payload then set_generated(add(list, fields["reassembled.data"], payload)) end
 end
 
 --- Add a CRC with its status, and append the status to the item's text.
@@ -187,11 +187,11 @@ end
 function Tree:add_crc(item, range, transfer, sent)
   local shown, fields = CRC[transfer.status] or UNVERIFIED, self.fields
   local crc = range and show_fields.add_le(item, fields.crc, range)
-    or add_generated(item, fields.crc, sent)
+    or set_generated(add(item, fields.crc, sent))
   append_text(crc, shown[2]:format(transfer.calculated))
-  add_generated(item, fields["crc.status"], shown[1])
+  set_generated(add(item, fields["crc.status"], shown[1]))
   if shown == CRC.bad then
-    add_generated(item, fields["crc.calculated"], transfer.calculated)
+    set_generated(add(item, fields["crc.calculated"], transfer.calculated))
   end
   append_text(item, shown[3])
 end
@@ -204,7 +204,7 @@ end
 
 --- Add whether a message has a fault, in each of its frames.
 function Tree:add_has_fault(item, has_fault)
-  if has_fault then add_generated(item, self.fields["message.fault"], true) end
+  if has_fault then set_generated(add(item, self.fields["message.fault"], true)) end
 end
 
 --- Add a message's history to YAPP's own item: the time since the previous one, messages
@@ -212,12 +212,12 @@ end
 -- message  of reading.messages
 function Tree:add_delta(item, message)
   local delta, change, fields = message.delta, message.change, self.fields
-  if delta then add_generated(item, fields.time_delta, show_fields.relative_time(delta)) end
+  if delta then set_generated(add(item, fields.time_delta, show_fields.relative_time(delta))) end
   if change and change.missing then
-    add_generated(item, fields["seq.missing"], change.missing)
+    set_generated(add(item, fields["seq.missing"], change.missing))
   end
   if message.copy_of then
-    add_generated(item, fields.copy_of, number_of(message.copy_of))
+    set_generated(add(item, fields.copy_of, number_of(message.copy_of)))
   end
   self:add_has_fault(item, message.has_fault)
 end
@@ -268,7 +268,7 @@ local function show_bytes(self, message, view)
   local id, like = message.source.id, message.like
   local text, info = unknown_texts(message)
   if like and view.wants.yapp then
-    add_generated(view.item, self.fields["like." .. like.name], id)
+    set_generated(add(view.item, self.fields["like." .. like.name], id))
   end
   self:expert(view.item, "id.unknown", text)
   return ("%s  %s%s"):format(message.source.label, Tree.bytes(#message.payload), info)

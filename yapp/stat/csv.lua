@@ -151,8 +151,8 @@ local function describe_differences(message)
     if not is_column[item] then
       list[#list + 1] = output.object(DIFFERENCE_KEYS, {
         name = item.name,
-        of = message.fields[item.a].name,
-        less = message.fields[item.b].name,
+        of = item.a.name,
+        less = item.b.name,
         unit = item.unit,
         title = item.title,
       })

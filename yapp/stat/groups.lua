@@ -2,7 +2,6 @@
 -- The gathering of a statistic: of each source counts, times, gaps and values; of all sources of
 -- one message, how far their values lie apart.  Pure Lua, 5.2 to 5.5.
 
-local decode = require "yapp.message.decode"
 local field_kinds = require "yapp.message.field_kinds"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
@@ -17,10 +16,10 @@ local NO_NUMBER = 0 / 0
 
 -- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent; NaN
 -- for a reserved value, nil where the message does not have the field.
-local function number_of(message, values, raws)
+local function number_of(values, raws)
   local field, raw = values.field, raws[values.index]
   if values.index then return raw and number_of_raw(field, raw) end
-  return decode.derived(message, field, raws)
+  return field_kinds.value(field, raws)
 end
 
 -- A number with the digits that people see.
@@ -212,7 +211,7 @@ local function note_values(self, group, event, now)
       local raw = raws[values.index]
       if raw then note_raw(values, raw) end
     else
-      local value = number_of(group.message, values, raws)
+      local value = number_of(values, raws)
       if value then note_value(values, value, event.frame) end
       if values.spread then note_spread(values, value, event, now, longest) end
     end
