@@ -32,7 +32,8 @@ local function message(with)
   local m = { seq = 0, source = SOURCE, time = 0.5, visited = false, status = "good", payload = "\0\0\0",
     change = false, undecoded = false, is_unreliable = false }
   for key, value in pairs(with or {}) do m[key] = value end
-  m.key = (m.frame or 1) * frame_key.PACKET + 16
+  m.number = m.frame or 1
+  m.key = m.number * frame_key.PACKET + 16
   local of_type = m.of or MESSAGE
   m.raws, m.remarks = of_type.read(m.payload)
   return m

@@ -89,6 +89,7 @@ local function visit(capture, one, with)
   local frame, number = records.new_can_frame(), with.number or capture.number + 1
   capture.number = number
   frame.key, frame.time = number * frame_key.PACKET + 16, with.time or number / 1000
+  frame.number = number
   frame.can_id = can_id.fields[one[1]]
   frame.seq, frame.data, frame.reported = frame.can_id.seq, one[2], with.reported or #one[2]
   for _, name in ipairs { "visited", "bus", "accepts_all", "is_only_pass", "wants_state" } do
@@ -234,6 +235,7 @@ function T.test_undissected_frames()
     local frame = records.new_can_frame()
     capture.number = capture.number + 1
     frame.key, frame.can_id = capture.number * frame_key.PACKET, can_id.fields[id]
+    frame.number = capture.number
     frame.data, frame.reported = data, #data
     frame.seq = frame.can_id.seq
     capture.reading:report_undissected(frame)

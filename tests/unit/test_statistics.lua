@@ -99,7 +99,7 @@ local function run(arguments, records, with)
     local options = options_of.read("yapp," .. argument, settings.catalogue)
     if not argument:find("^check") then lu.assertEquals(options.problems, {}) end
     local context = { out = function(text) printed[#printed + 1] = text end, settings = settings,
-      clock = function(rel) return queue:clock(rel) end, frames = with.frames, make_folder = with.make_folder,
+      queue = queue, frames = with.frames, make_folder = with.make_folder,
       json = options.json }
     local ok, statistic = pcall(options.row.new, options, context)
     if not ok then return nil, nil, { statistic } end

@@ -68,6 +68,7 @@ local function fill_frame(self, tvb, reported, pinfo, tree, id, accepts_all, is_
   local visited = key <= self.reading.newest_key and not is_deferred and pinfo.visited
   local wants = not visited and builder.wanted or builder:wants(tree, pinfo, visited)
   frame.key = key
+  frame.number = number
   frame.time = self.has_start and self.buses:time(pinfo) or pinfo.rel_ts
   frame.visited = visited
   frame.can_id = fields

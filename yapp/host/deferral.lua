@@ -114,7 +114,7 @@ end
 -- Return the record of a frame that was noted.
 local function new_frame(self, tvb, pinfo, id)
   local frame, number = records.new_can_frame(), pinfo.number
-  frame.key = number * frame_key.PACKET + self.offset
+  frame.key, frame.number = number * frame_key.PACKET + self.offset, number
   frame.time = self.buses:time(pinfo)
   frame.can_id = can_id.fields[id]
   frame.seq = frame.can_id.seq

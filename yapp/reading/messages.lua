@@ -32,6 +32,7 @@ local function new_message(frame, transfer)
     source = frame.source,
     seq = frame.seq,
     key = frame.key,
+    number = frame.number, -- of its packet
     time = frame.time, -- seconds since the first packet
     visited = frame.visited,
     status = transfer.status,

@@ -13,6 +13,7 @@ local copies = require "yapp.reading.copies"
 local decode = require "yapp.message.decode"
 local frame = require "yapp.wire.frame"
 local framer = require "yapp.serial.framer"
+local number_of = require "yapp.base.frame_key".number
 local history = require "yapp.message.history"
 local lines = require "yapp.serial.lines"
 local memo = require "yapp.base.memo"
@@ -281,7 +282,7 @@ local function finish_frames(self, list)
     -- fraction marks a frame that a read filter dropped.
     if key % 1 == 0 and not (self.saw_unknown_bus and source.bus_key) then
       local of_frame = records.new_can_frame()
-      of_frame.key, of_frame.time = key, transfer.time
+      of_frame.key, of_frame.number, of_frame.time = key, number_of(key), transfer.time
       of_frame.source, of_frame.seq = source, transfer.slot % 0x100
       list[#list + 1] = records.new_result("unfinished", of_frame)
     end

@@ -11,6 +11,7 @@ function M.new_can_frame()
   return {
     -- host.can fills in:
     key = 0, -- see base.frame_key
+    number = 0, -- of its packet
     time = 0, -- seconds since the first packet
     visited = false, -- whether it is a revisit
     can_id = false, -- the fields of its CAN id (wire.can_id)
@@ -34,6 +35,7 @@ end
 function M.new_serial_frame(packet, index, source, seq)
   return {
     key = packet.key + index - 1,
+    number = packet.number,
     time = packet.time,
     visited = packet.visited,
     seq = seq,

@@ -69,7 +69,7 @@ local function add_transfer(self, result)
   local frame, transfer, item, fields = result.frame, result.transfer, self.item, self.fields
   if #transfer > 1 then
     local payload = self.payload_tvb and self.payload_tvb()
-    set_generated(add(item, fields["reassembled.in"], number_of(frame.key)))
+    set_generated(add(item, fields["reassembled.in"], frame.number))
     append_text(set_generated(add(item, fields.size, transfer.size)), " bytes")
     set_generated(add(item, fields.reserved, transfer.reserved or 0))
     local crc = transfer.crc or can_id.crc(frame.can_id, transfer.payload)

@@ -42,7 +42,7 @@ local function add_item(self, result, tvb, tree)
   builder:add_source(item, source)
   if transfer.packet_keys then
     local range = #payload > 0 and tvb(offset + HEADER, #payload) or nil
-    set_generated(add(item, fields["reassembled.in"], frame_key.number(result.frame.key)))
+    set_generated(add(item, fields["reassembled.in"], result.frame.number))
     builder:add_fragments(item, tvb(), transfer.packet_keys, transfer.length, range)
   end
   if transfer.missing then

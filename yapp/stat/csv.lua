@@ -71,7 +71,7 @@ end
 
 --- options  { folder = path or "-", chosen = compiled message where it is printed, replace =,
 --          all = booleans, statistics = see M.describe }
--- context  { clock = function(rel) -> seconds since 1970, nanoseconds; settings = see stat.taps;
+-- context  { queue = a stat.queue, which has the clock; settings = see stat.taps;
 --          make_folder = function(path) -> whether it is there; and what output.print takes }
 -- It raises why a file cannot be written.
 function M.new(options, context)
@@ -102,7 +102,7 @@ function Csv:event(event)
   local all, source, is_good = self.options.all, event.source, event.kind == "message"
   local to = event.raws and self.tables[source.message]
   if not (to and (is_good or all)) then return end
-  local time = output.time_text(self.context.clock(event.time))
+  local time = output.time_text(self.context.queue:clock(event.time))
   local crc_good = all and (is_good and "1," or "0,") or ""
   local row = text_of.row(source.message, event.raws)
   to.file:write(("%s,%d,%s,%d,%s%s\n"):format(

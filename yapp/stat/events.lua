@@ -59,7 +59,7 @@ Events.__index = Events
 
 --- Make the statistic.
 -- options  { what = "events" or "faults" }
--- context  { clock = function(rel) -> seconds since 1970, nanoseconds; and what output.print
+-- context  { queue = a stat.queue, which has the clock; and what output.print
 --          takes }
 function M.new(options, context)
   return setmetatable({ what = options.what, context = context, list = {} }, Events)
@@ -82,7 +82,7 @@ local function row_of(self, event, ending)
   local row = {
     kind = event.kind,
     frame = event.frame,
-    time = time and output.time(self.context.clock(time)),
+    time = time and output.time(self.context.queue:clock(time)),
     rel = output.seconds(event.rel),
     details = nil,
     keys = self.what == "events" and KEYS_OF_KIND[event.kind] or nil,

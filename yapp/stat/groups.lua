@@ -143,7 +143,7 @@ local Groups = {}
 --          numbers; compares = whether it gathers their spreads, too
 -- returns  it, with class.new(options, context), which makes a statistic:
 --   options  of stat.options
---   context  { clock = function(rel) -> seconds since 1970, nanoseconds; settings = see stat.taps;
+--   context  { queue = a stat.queue, which has the clock; settings = see stat.taps;
 --            and what output.print takes }
 function M.class(class)
   class.__index = class

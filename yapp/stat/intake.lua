@@ -15,14 +15,12 @@
 local can_id = require "yapp.wire.can_id"
 local compiler = require "yapp.message.catalogue"
 local field_kinds = require "yapp.message.field_kinds"
-local frame_key = require "yapp.base.frame_key"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
 
 local M = {}
 
 local END = can_id.END
-local number_of = frame_key.number
 
 local LOSSES = {
   ["fragment.incomplete"] = { what = "incomplete" },
@@ -82,7 +80,7 @@ end
 -- Return the event of a message or frame.
 -- message  of reading.messages, or a frame of reading.records
 local function new_event(kind, message, values)
-  return kinds.event(kind, number_of(message.key), message.time, message.source, values, message)
+  return kinds.event(kind, message.number, message.time, message.source, values, message)
 end
 
 local function offer(self, kind, message, values)

@@ -200,7 +200,7 @@ local function add_rows(self, list, index, rows)
   for i = 2, #all do all[i].field, all[i].unit = nil, nil end
   local row, rel = rows[first], spread.rel
   row.spread, row.frame, row.rel = spread.worst, spread.frame, output.seconds(rel)
-  row.time = rel and output.time(self.context.clock(rel))
+  row.time = rel and output.time(self.context.queue:clock(rel))
   row.sources = output.list(sources)
 end
 

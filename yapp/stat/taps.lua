@@ -216,8 +216,8 @@ local function begin(self, text, context)
     error(table.concat(options.problems, "\n"), 0)
   end
   local filter = options.filter and tap_filter(self, options.filter)
-  function context.clock(rel) return events:clock(rel) end
-  context.json, context.make_folder, context.settings = options.json, make_folder, self.settings
+  context.queue, context.settings = events, self.settings
+  context.json, context.make_folder = options.json, make_folder
   local statistic = options.row.new(options, context)
   local deriver = events:add(statistic, options)
   if filter then
