@@ -80,6 +80,9 @@ function T.test_new_ports_in_the_first_bytes_of_a_file()
       { { 5, 6, 7, 9 }, true }, { { 5, 6, 7 }, false }, { { 5, 6, 7, 9, 5 }, false },
       { { 5, 5, 6, 6, 7, 7, 9, 9 }, true },
       { { 5, 5, 5, 5, 5, 5, 6, 6, 6, 6, 6, 6, 7, 9 }, false }, { {}, false },
+      -- A port that was picked by chance came back.
+      { { 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 12, 21, 22, 23, 24, 25, 26, 27 }, true },
+      { { 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 11, 12, 13, 14, 15, 16, 17, 18 }, false },
     } do
       local self, parts = senders.new(), {}
       for i, port in ipairs(row[1]) do parts[i] = make(port) end

@@ -112,6 +112,23 @@ function T.test_bytes_that_look_like_a_status()
   end)
 end
 
+-- While no line is known, only what may begin a frame or describes a device is read.
+function T.test_packets_of_others()
+  local noise = ("x"):rep(200)
+  each_kind(function(kind, make)
+    local split = status(("x"):rep(61) .. "YP" .. noise, 64, "\1")
+    for data, is_of_others in pairs {
+      [noise] = true, [("Y"):rep(3) .. "x"] = true, ["YxxP" .. noise] = true,
+      ["YP"] = false, [noise .. "YP" .. noise] = false, ["xY"] = false, [split] = false, ["\1\96Y"] = false,
+    } do
+      lu.assertEquals({ data, usb.is_of_others(kind, make(BULK, 0x81, data)) }, { data, is_of_others })
+    end
+    lu.assertFalse(usb.is_of_others(kind, make(CONTROL, 0x80, "abc")))
+    lu.assertTrue(usb.is_of_others(kind, make(INTERRUPT, 0x82, "YP")))
+    lu.assertTrue(usb.is_of_others(kind, ""))
+  end)
+end
+
 function T.test_descriptors_that_are_damaged()
   each_kind(function(kind, make)
     for _, bytes in ipairs { "\0\1", "\18\1", "\9\2\32\0\7\5", "\7\5\129\2", ("\0"):rep(40), "\2\2\2\2\2", "\1" } do

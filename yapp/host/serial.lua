@@ -105,21 +105,24 @@ local function whole_packet(self, tvb, pinfo, wants)
   return packet
 end
 
--- Whether a packet of an unknown conversation may go on with a frame.  Few packets come while a
--- conversation is on trial.
+-- Whether a packet of an unknown conversation may go on with a frame.
 local function may_go_on(streams, pinfo)
-  if streams.trial_count == 0 then return false end
   return streams:may_go_on(lines.tag(pinfo.port_type, pinfo.src_port, pinfo.dst_port))
 end
 
 --- Return whether a packet of an unknown conversation is YAPP.
 function Dissector:accepts(tvb, pinfo, tree)
-  local reading = self.reading
-  if pinfo.in_error_pkt or tvb:len() == 0 then return false end
-  if pinfo.visited then
-    return reading.streams:is_stored(pinfo.number * PACKET + tvb:offset())
+  if tvb:len() == 0 then return false end
+  local reading, bytes = self.reading, tvb:raw()
+  local streams = reading.streams
+  local may_begin = streams.may_begin(bytes)
+  -- Most packets are of others, and few come while a conversation is on trial.
+  if not (may_begin or streams.trial_count > 0 or pinfo.visited) then return false end
+  if pinfo.in_error_pkt then return false end
+  if pinfo.visited then return streams:is_stored(pinfo.number * PACKET + tvb:offset()) end
+  if not (may_begin and reading:may_be_yapp(bytes) or may_go_on(streams, pinfo)) then
+    return false
   end
-  if not (reading:may_be_yapp(tvb:raw()) or may_go_on(reading.streams, pinfo)) then return false end
   local packet = whole_packet(self, tvb, pinfo, self.builder:wants(tree, pinfo, false))
   local is_found, is_in_pieces = reading:try_packet(packet)
   local is_tcp, port = packet.is_tcp, math.min(pinfo.src_port, pinfo.dst_port)
@@ -236,20 +239,31 @@ local function part_tvb(part, tvb)
   return tvb(part.offset):tvb()
 end
 
+-- Return what a packet of USB has of a line that has YAPP or may have it, see Usb:read, and the
+-- line; nil for nothing.
+local function part_of_line(self, kind, raw)
+  local reading = self.reading
+  local streams = reading.streams
+  local is_idle = streams.trial_count == 0 and not next(reading.found)
+  if is_idle and usb.is_of_others(kind, raw) then return nil end
+  local part = self.usb:read(kind, raw)
+  if not part or part.bytes == "" then return nil end
+  local line = reading.lines:of_adapter(part.line)
+  local may_be_yapp = reading.found[line.trial_key] or streams.may_begin(part.bytes) or
+    streams:may_go_on(line.tag)
+  if may_be_yapp then return part, line end
+end
+
 --- Dissect a packet of USB that Wireshark has shown, if it has bytes of a serial line with YAPP.
 -- kind  of serial.usb
 function Dissector:dissect_usb(kind, tvb, pinfo, tree)
-  local part, reading = self.usb:read(kind, tvb:raw()), self.reading
-  local bytes = part and part.bytes or ""
-  if bytes == "" then return end
-  local line = reading.lines:of_adapter(part.line)
-  local is_found, streams = reading.found[line.trial_key], reading.streams
-  local may_be_yapp = is_found or streams.may_begin(bytes) or streams:may_go_on(line.tag)
-  if not may_be_yapp then return end
-  local wants = self.builder:wants(tree, pinfo, pinfo.visited)
-  local length = part.truncated and #bytes + 1 or #bytes
-  local packet = new_packet(self, line, pinfo, part.offset, bytes, length, wants)
-  is_found = is_found or not packet.visited and reading:try_packet(packet)
+  local part, line = part_of_line(self, kind, tvb:raw())
+  if not part then return end
+  local reading, wants = self.reading, self.builder:wants(tree, pinfo, pinfo.visited)
+  local length = part.truncated and #part.bytes + 1 or #part.bytes
+  local packet = new_packet(self, line, pinfo, part.offset, part.bytes, length, wants)
+  local is_found = reading.found[line.trial_key] or
+    not packet.visited and reading:try_packet(packet)
   if is_found then
     dissect(self, packet, wants, wants.tree and part_tvb(part, tvb), pinfo, tree)
   end

@@ -16,7 +16,8 @@ local MAX_LENGTH = 0x2400 -- of an IPv6 payload: 9,216 bytes
 -- A sender changes its port if it has so many ports, each with few datagrams in a row, and hardly
 -- one comes back.  While a capture goes on, more of them are needed, and more time: several
 -- controllers behind one address may send for the first time, and all do so again within a second.
-local MIN_PORTS, MIN_PORTS_LIVE, MAX_RUN, MAX_BACK = 4, 16, 4, 1 / 32
+-- A port that is picked by chance comes back now and then: of 23, one in 1 % of captures.
+local MIN_PORTS, MIN_PORTS_LIVE, MAX_RUN, MAX_BACK = 4, 16, 4, 1 / 16
 local MIN_TIME = 1 -- seconds from its first port to one that is new
 
 local Senders = {}

@@ -9,7 +9,7 @@
 
 local M = {}
 
-local byte, floor, sub = string.byte, math.floor, string.sub
+local byte, find, floor, sub = string.byte, string.find, math.floor, string.sub
 
 local CONTROL, BULK = 2, 3 -- transfers
 local SUBMIT, COMPLETE = byte("S"), byte("C") -- events of usbmon
@@ -65,6 +65,26 @@ function HEADERS.usbpcap(bytes)
     offset = u16(bytes, 0),
     length = u32(bytes, 23),
   }
+end
+
+-- Packets of others -------------------------------------------------------------------------------
+
+local Y, P = byte("YP", 1, 2)
+local TRANSFER = { usbmon = 10, usbmon_mapped = 10, usbpcap = 23 } -- index in the header
+local DATA = { usbmon = 48, usbmon_mapped = 64 } -- offset; usbpcap has it in its first byte
+
+--- Whether a packet need not be read while no line with YAPP is known: no frame begins in its data,
+-- and it describes no device.  Most packets of others are so, and the test is quick.
+-- kind, bytes  as of Usb:read
+function M.is_of_others(kind, bytes)
+  local transfer = byte(bytes, TRANSFER[kind])
+  if transfer ~= BULK then return transfer ~= CONTROL end
+  if find(bytes, "YP", 1, true) or byte(bytes, -1) == Y then return false end
+  -- A status may stand between the first two bytes of a frame.
+  for index = (DATA[kind] or byte(bytes)) + FULL_SPEED, #bytes, FULL_SPEED do
+    if byte(bytes, index) == Y and byte(bytes, index + STATUS + 1) == P then return false end
+  end
+  return true
 end
 
 -- Devices -----------------------------------------------------------------------------------------
