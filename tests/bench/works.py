@@ -98,9 +98,9 @@ def works(shark, python, messages):
              Target("hand", 1.4)),
         Work(VERBOSE, {"none": none("yapp.pcap", "-V"), "isotp": isotp("-V"), "floor": floor("tree", "-V"),
                        "hand": hand("-V"), "now": now("yapp.pcap", "-V")}, Target("hand", 1.25)),
-        Work(VALUES, {"script": of_script, "hand": hand(*VALUE_FIELDS), "now": now("yapp.pcap", *VALUE_FIELDS)},
+        Work(VALUES, {"hand": hand(*VALUE_FIELDS), "now": now("yapp.pcap", *VALUE_FIELDS)},
              Target("hand", 1.25)),
-        Work(TABLES, {"script": of_script, "list": now("yapp.pcap"), "now": now("yapp.pcap", *tables)}, Target("script", 1.15)),
+        Work(TABLES, {"script": of_script, "list": now("yapp.log"), "now": now("yapp.log", *tables)}, Target("script", 1.15)),
         *(Work(CONVERT.format(title), {"script": of_script, "now": convert(shark, python, "yapp.log", kind)}, Target("script", 1.3))
           for title, kind in (("CSV", "csv"), ("Parquet", "parquet"), ("Delta", "delta"))),
         Work(f"{count} UDP packets", {"none": none("udp.pcap"), "now": now("udp.pcap")}, Target("none", 1.02)),

@@ -48,6 +48,10 @@ def test_copy_as_candump(tmp_path):
     assert [line.split()[2] for line in lines] == [
         "08404000#BBBE6FC720000000", "08404000#R", "08408000#FD7FFD7FFD7FFD7F", "08408000#R8", "08408000#F5AFFD7F18010000",
         "08408000#R8", "08408000#014000000000E38C", "0840C000#R8", "00000000#R7", "0840C000#D23CE04E000005FF"]
+    lines = menu(tshark.CAPTURES / "can/fd_single.pcap", *copy).splitlines()
+    assert [line.split()[2] for line in lines] == [
+        "08400000##0FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000000E38CD23CE04E000005FF",
+        "08000000##000CA9A3B000000007D325A465019640103000000", "00000000##0015A014F80F380"]
 
 
 def test_decode_all_ids_of_this_size():

@@ -7,12 +7,13 @@ local lu = require("luaunit")
 local T = {}
 
 local FAULTS = "yapp.source in {\"left\"} && (taurus.fault.raised || taurus.fault.cleared)"
+local ALARMS = "taurus.motor.fault_flags taurus.pump.alarms" -- of each message one
 -- Title, the field that the packet must have, the filter of frame 7 of the source left whose message ends in frame 9.
 local FILTERS = {
   { "Only this controller", "yapp.source", "yapp.source in {\"left\"}" },
-  { "Faults of this controller", "taurus.motor.fault_flags", FAULTS },
-  { "Previous fault of this controller", "taurus.motor.fault_flags", FAULTS .. " && frame.number < 7" },
-  { "Next fault of this controller", "taurus.motor.fault_flags", FAULTS .. " && frame.number > 7" },
+  { "Faults of this controller", ALARMS, FAULTS },
+  { "Previous fault of this controller", ALARMS, FAULTS .. " && frame.number < 7" },
+  { "Next fault of this controller", ALARMS, FAULTS .. " && frame.number > 7" },
   { "Whole message", "yapp.reassembled.in", "yapp.reassembled.in in {9}" },
 }
 local VALUES = { { name = "frame.number", value = 7 }, { name = "yapp.source", value = "left" },
@@ -23,17 +24,22 @@ local seen
 local function menu(prefs)
   seen = { items = {}, fields = {}, done = {} }
   local function note(name) return function(...) table.insert(seen.done, table.concat({ name, ... }, " ")) end end
-  function _G.register_packet_menu(title, act, field) seen.items[title], seen.fields[title] = act, field end
-  function _G.register_menu(title, _, group) seen.tools = title .. " " .. group end
+  function _G.register_packet_menu(title, act, field)
+    seen.items[title] = act
+    seen.fields[title] = (seen.fields[title] and seen.fields[title] .. " " or "") .. field
+  end
+  function _G.register_menu(title, act, group) seen.tools, seen.by_size = title .. " " .. group, act end
   _G.MENU_TOOLS_UNSORTED = "tools"
   for _, name in ipairs { "set_filter", "apply_filter", "set_preference", "apply_preferences", "redissect_packets" } do
     _G[name] = note(name)
   end
   function _G.new_dialog(title, act, row) seen.dialog = { title = title, act = act, row = row } end
   package.loaded["yapp.show.packet_menu"] = nil
-  local motor = { name = "motor", title = "Motor Data", alarms = { { filter = "taurus.motor.fault_flags" } } }
+  local state, flags = { filter = "taurus.motor.motor_state" }, { filter = "taurus.motor.fault_flags" }
+  local motor = { name = "motor", title = "Motor Data", fault_field = flags, alarms = { state, flags } }
+  local pump = { name = "pump", title = "Pump", alarms = { { filter = "taurus.pump.alarms" } } } -- has other alarms
   local health = { name = "health", title = "Health", alarms = {} } -- without a fault flag
-  require("yapp.show.packet_menu").register(prefs, { messages = { motor, health }, by_name = {} })
+  require("yapp.show.packet_menu").register(prefs, { messages = { motor, pump, health }, by_name = {} })
 end
 
 local function choose(title)
@@ -54,6 +60,22 @@ end
 function T.test_the_entry_in_tools()
   menu({ sources = "" })
   lu.assertEquals(seen.tools, "YAPP/Decode unknown IDs by size tools")
+end
+
+-- A tap that stays would build trees for ever.
+function T.test_no_message_has_the_size_of_one()
+  local taps = 0
+  menu({ sources = "" })
+  _G.Listener = { new = function(_, filter)
+    lu.assertEquals(filter, "yapp.like.motor || yapp.like.pump || yapp.like.health")
+    taps = taps + 1
+    return { remove = function() taps = taps - 1 end }
+  end }
+  function _G.retap_packets() lu.assertEquals(taps, 1) end
+  function _G.report_failure(text) seen.failure = text end
+  seen.by_size()
+  lu.assertStrContains(seen.failure, "YAPP: no message of an unknown ID has the size")
+  lu.assertEquals({ taps, seen.done }, { 0, {} })
 end
 
 function T.test_decode_this_id_as()
