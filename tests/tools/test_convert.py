@@ -38,7 +38,7 @@ def test_parquet_reads_back_with_pandas_polars_and_duckdb(make_capture, yapp_tab
     assert duckdb.sql(query).fetchall() == [("motor", 1002.5)]
 
 
-@pytest.mark.parametrize("to", ["parquet", "csv", "delta"])
+@pytest.mark.parametrize("to", ["parquet", "delta"])
 def test_a_conversion_needs_no_pandas(make_capture, tmp_path, to):
     """Its import takes as long as to write a flight of half an hour."""
     script = "import sys; from yapp_tables.cli import main; print(main(sys.argv[1:]), 'pandas' in sys.modules)"

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from .clock import clock_of
 from .errors import count_of
+from .scalars import mask, repeated, table_of
 from .tables import KIND, TIME, Column, Message, Origin, Rows, Table, present
 from .tshark import Export, Record
 
@@ -129,8 +130,7 @@ class Records(Table):
         """Return all rows at once: they are few."""
         rows = self.rows()
         self.count = len(rows)
-        same = [[text] * len(rows) for text in (self.origin.flight_id, self.origin.capture.name)]
-        head = [pa.array(words, pa.string()).dictionary_encode() for words in same]
+        head = [repeated(text, len(rows)) for text in (self.origin.flight_id, self.origin.capture.name)]
         columns = [*head, *rows.unify_dictionaries().columns]
         yield from pa.table(columns, schema=self.schema).combine_chunks().to_batches()
 
@@ -181,8 +181,9 @@ def _described(entry: Record) -> Column:
 
 def table(records: Sequence[Record], columns: Mapping[str, Column]) -> pa.Table:
     """JSON lines of a statistic as a table; keys without a column come as JSON in `other`."""
-    schema = pa.schema([(name, column.type) for name, column in columns.items()])
-    return pa.Table.from_pylist([_cells(record, columns) for record in records], schema)
+    return table_of(
+        [_cells(record, columns) for record in records], {name: each.type for name, each in columns.items()}
+    )
 
 
 # Keys that another column or table has.
@@ -213,7 +214,7 @@ def faults(events: pa.Table, columns: Mapping[str, Column] = FAULTS) -> pa.Table
     """Return the flags that were raised and cleared, of all events."""
     is_fault = [kind == "fault" for kind in events["kind"].to_pylist()]
     names = [name for name in columns if name in events.schema.names]
-    return events.filter(pa.array(is_fault, pa.bool_())).select(names)
+    return events.filter(mask(is_fault)).select(names)
 
 
 def statistics(summary: Sequence[Record]) -> pa.Table:
@@ -311,4 +312,4 @@ def _flight(export: Export, origin: Origin, rows: Sequence[Rows], events: pa.Tab
     about |= {"options": " ".join(origin.tshark.options), "messages": sum(each.count for each in rows)}
     about |= {"faults": incidents(events), "partial": export.partial}
     about |= {"undecoded": export.undecoded or None, "left_out": "; ".join(said) or None}
-    return pa.Table.from_pylist([about], pa.schema([(name, column.type) for name, column in FLIGHTS.items()]))
+    return table_of([about], {name: column.type for name, column in FLIGHTS.items()})

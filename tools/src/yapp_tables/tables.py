@@ -6,7 +6,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +19,7 @@ from .clock import Stretches
 from .difference import difference
 from .errors import SetupError
 from .lag import LAG, Lags, steps
+from .scalars import repeated
 from .tshark import Export, Record, Tshark
 from .undecoded import left_out
 
@@ -256,8 +256,8 @@ class Rows(Table):
         return Lags(found) if found else None
 
     def _typed(self, given: dict[str, pa.Array], count: int, lags: Lags | None) -> pa.RecordBatch:
-        given["source_file"] = _repeated(self.origin.capture.name, count)
-        given["flight_id"] = _repeated(self.origin.flight_id, count)
+        given["source_file"] = repeated(self.origin.capture.name, count)
+        given["flight_id"] = repeated(self.origin.flight_id, count)
         given["controller"] = given.get("source")
         for column in self.columns:
             if column.difference:
@@ -294,15 +294,6 @@ def read_csv(path: Path, names: Sequence[str], types: Mapping[str, pa.DataType])
 def _nanoseconds(seconds: pa.Array | pa.ChunkedArray) -> Any:
     """Seconds as text with nine digits are nanoseconds once the point is gone."""
     return pc.replace_substring(seconds, ".", "").cast(pa.int64())
-
-
-# No Python value becomes Arrow's by pa.scalar or pa.array in what reads rows: see scalars.py.
-def _repeated(text: str, count: int) -> pa.Array:
-    """A column of strings that are all this one, which is not empty."""
-    data = text.encode()
-    words = pa.StringArray.from_buffers(1, pa.py_buffer(array("i", (0, len(data)))), pa.py_buffer(data))
-    indices = pa.Array.from_buffers(pa.int32(), count, [None, pa.py_buffer(bytes(4 * count))])
-    return pa.DictionaryArray.from_arrays(indices, words)
 
 
 def present(export: Export) -> list[Message]:
