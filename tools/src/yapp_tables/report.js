@@ -133,7 +133,7 @@
       said.push(data.left_out.length ? "Nothing in what was decoded." : "Nothing.");
     }
     byId("verdict").append(...said);
-const more = data.incidents.filter((each) => each !== first && each.is_serious).slice(0, MORE).map((each) => {
+    const more = data.incidents.filter((each) => each !== first && each.is_serious).slice(0, MORE).map((each) => {
       const until = each.until === null || each.until >= data.length - 1 ? "until the end" : `for ${duration(each.until - each.begin)}`;
       return make("li", { className: "bad" }, zooms(`${each.label}: ${each.what} at ${clock(each.begin)}, ${until}`, each.begin, each.until));
     });
