@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The page in Chromium, as a server gives it and from a disk: what a user does, and that nothing leaves it.
-// CHROMIUM: another browser.  Needs make viewer.
+// CHROMIUM, FIREFOX: other browsers.  Needs make viewer.  Without Firefox its test is skipped.
 import assert from "node:assert/strict";
-import { execFileSync } from "node:child_process";
-import { cpSync, mkdtempSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
+import { execFileSync, spawn, spawnSync } from "node:child_process";
+import { cpSync, existsSync, mkdtempSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { tmpdir } from "node:os";
 import { basename, extname, join } from "node:path";
@@ -169,4 +169,36 @@ test("the gate's report opens the capture at the rule that failed", async () => 
   await chosenRow(page, "719");
   assert.ok(basename(await page.title()).startsWith("my_flight.pcapng"));
   await page.close();
+});
+
+// Firefox without a driver: the server adds a script to the page, which reports what the page shows.
+const firefox = [process.env.FIREFOX, "firefox-esr", "firefox"].find((name) => name && spawnSync(name, ["--version"]).status === 0);
+test("Firefox opens a capture, filters and lists it", { skip: firefox ? false : "Firefox is not installed" }, async () => {
+  const probe = `setInterval(() => {
+    const [row] = document.querySelectorAll(".row"), status = document.getElementById("status").textContent;
+    if (row && / of /.test(status)) fetch("report", { method: "POST", body: status + " " + row.textContent });
+  }, 500);`;
+  let child;
+  const said = await new Promise((resolve, reject) => {
+    const own = createServer((request, response) => {
+      const { pathname } = new URL(request.url, "http://x");
+      if (pathname === "/report") {
+        request.setEncoding("utf8").on("data", (text) => { if (text.startsWith("15 of")) resolve(text); });
+        return response.end();
+      }
+      const path = join(TOP, "dist/viewer", pathname === "/" ? "index.html" : pathname);
+      if (pathname !== "/probe.js" && !existsSync(path)) return response.writeHead(404).end();
+      const content = pathname === "/probe.js" ? probe : readFileSync(path);
+      response.writeHead(200, { "Content-Type": TYPES[extname(path)] ?? "application/octet-stream" });
+      response.end(pathname === "/" ? `${content}<script src="probe.js"></script>` : content);
+    }).listen(0, "127.0.0.1", () => {
+      const link = `http://127.0.0.1:${own.address().port}/#file=flight.pcapng&filter=taurus.fault.active`;
+      child = spawn(firefox, ["--headless", "--no-remote", "--profile", mkdtempSync(join(tmpdir(), "firefox-")), link],
+        { stdio: "ignore" });
+      child.on("error", reject);
+    });
+    setTimeout(() => reject(new Error("Firefox showed no list in two minutes")), 120000).unref();
+    after(() => own.close());
+  }).finally(() => child?.kill());
+  assert.match(said, /^15 of 1,483 frames 719.*motor_overcurrent/);
 });
