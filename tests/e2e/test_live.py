@@ -2,6 +2,7 @@
 """Live ports: extcap/yapp_extcap.py on a pseudo terminal, and CAN on python-can's virtual bus; by itself, and under the real
 tshark.  Every byte that is written comes out, in order; and whatever ends a capture is said."""
 import contextlib
+import fcntl
 import fnmatch
 import glob
 import importlib
@@ -365,13 +366,24 @@ LINES = [("none", "1", 0), ("even", "1", termios.PARENB), ("odd", "1", termios.P
 
 @pytest.mark.parametrize("parity, stopbits, flags", LINES)
 def test_what_a_line_is_set_to(extcap, monkeypatch, port, parity, stopbits, flags):
-    """Raw, without flow control: a pseudo terminal forgets the parity."""
-    asked = []
+    """Raw, without flow control: a pseudo terminal forgets the parity.  What came before it was set so is no data."""
+    asked, dropped = [], []
+    monkeypatch.setattr(termios, "tcflush", lambda _, queue: dropped.append(queue))
     monkeypatch.setattr(termios, "tcsetattr", lambda _, when, attributes: asked.append((when, attributes)))
     extcap.set_line(port.near, port.name, settings(extcap, "yapp-serial", baud="115200", parity=parity, stopbits=stopbits))
     [(when, (inputs, outputs, control, local, *rates, characters))] = asked
+    assert dropped == [termios.TCIFLUSH]
     assert (when, inputs, outputs, local, rates) == (termios.TCSANOW, 0, 0, 0, [termios.B115200] * 2)
     assert control == EIGHT | flags and characters[termios.VMIN] == 1 and characters[termios.VTIME] == 0
+
+
+def test_a_port_is_ours_alone(extcap, monkeypatch, port):
+    """For the kernel, which lets root open it all the same, and for pyserial."""
+    asked = []
+    monkeypatch.setattr(extcap.fcntl, "ioctl", lambda _, what: asked.append(what))
+    monkeypatch.setattr(extcap.fcntl, "flock", lambda _, how: asked.append(how))
+    os.close(extcap.open_port(port.name))
+    assert asked == [fcntl.LOCK_EX | fcntl.LOCK_NB, termios.TIOCEXCL]
 
 
 BUSES = [("false", {}), ("true", {"fd": True, "data_bitrate": 2_000_000})]
@@ -379,7 +391,7 @@ BUSES = [("false", {}), ("true", {"fd": True, "data_bitrate": 2_000_000})]
 
 @pytest.mark.parametrize("fd, more", BUSES)
 def test_what_an_adapter_is_asked_for(extcap, monkeypatch, fd, more):
-    """And the time of a frame: the adapter's, if it counts from 1970."""
+    """And the time of a frame: the adapter's, if it counts from 1970.  At the end it is given back."""
     asked = []
 
     class Bus:
@@ -390,6 +402,9 @@ def test_what_an_adapter_is_asked_for(extcap, monkeypatch, fd, more):
         def recv(self, seconds):
             assert 0 < seconds < 1
             return can_message(self.times.pop(0))
+
+        def shutdown(self):
+            asked.append("shutdown")
 
     def can_message(seconds):
         names = ("is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator")
@@ -402,6 +417,8 @@ def test_what_an_adapter_is_asked_for(extcap, monkeypatch, fd, more):
     at, data = next(frames)
     assert abs(at - 1_700_000_000_250_000_000) < 1000 and data == bytes.fromhex("80000123 01 000000") + b"A"
     assert abs(next(frames)[0] - time.time_ns()) < 60e9
+    options.stop.set()
+    assert list(frames) == [] and asked[1:] == ["shutdown"]
 
 
 def test_an_unusual_rate(folder, port):
