@@ -55,7 +55,11 @@ SUITES = {
     "yapp/file/": ["tests/e2e/test_candump.py", "tests/e2e/test_dump.py", "tests/e2e/test_files.py"],
     "yapp/stat/": ["tests/e2e/test_statistics.py", "tests/e2e/test_gate.py"],
     "extcap/": ["tests/e2e/test_live.py"],
-    "tools/src/": ["tests/tools"],
+    "tools/src/": ["tests/tools/test_read.py", "tests/tools/test_convert.py"],  # for those without a file of tests, see suite_of
+    **{f"tools/src/yapp_tables/{name}.py": [f"tests/tools/test_{test}.py" for test in tests.split()] for name, tests in {
+        "api": "read typing", "tables": "csv read", "writers": "convert", "mf4": "mf4_mcap", "mcap_file": "mf4_mcap", "delta": "dataset",
+        "tshark": "convert read", "cli": "complete convert", "sources": "convert", "html_table": "report", "limits": "report",
+        "matrix": "report", "multiples": "report", "pictures": "report", "flight": "report", "undecoded": "report"}.items()},
 }
 ENDS = {"if": "then", "elseif": "then", "while": "do"}
 # A line that is no statement of its own, or without which a local variable is nil: the first test sees that.  A field that is
@@ -188,6 +192,9 @@ def passes(folder, test, most):
 
 
 def suite_of(path):
+    own = f"tests/tools/test_{path.stem}.py"
+    if str(path).startswith("tools/src/") and (ROOT / own).exists():
+        return [own]
     return SUITES[max((begin for begin in SUITES if str(path).startswith(begin)), key=len)]
 
 

@@ -107,7 +107,29 @@ function T.test_help()
   menu()
   seen.items["YAPP/Help"].act()
   lu.assertEquals(last(seen.windows).title, "YAPP Help")
-  for _, row in ipairs(OPENS) do lu.assertStrContains(last(seen.windows).text, "\n" .. row[1]) end
+  local text = last(seen.windows).text
+  for _, row in ipairs(OPENS) do lu.assertStrContains(text, "\n" .. row[1]) end
+  for _, rule in ipairs { "motor.rate", "motor.dc_voltage" } do lu.assertStrContains(text, rule) end
+  for _, row in ipairs(require("yapp.stat.measures").LIST) do
+    lu.assertStrContains(text, row.text)
+    lu.assertStrContains(text, row.help)
+  end
+end
+
+-- A filter that is misspelt would find nothing.
+function T.test_the_filters_of_help_exist()
+  menu()
+  seen.items["YAPP/Help"].act()
+  local file, count = assert(io.open("docs/filters.md")), 0
+  local page = file:read("*a")
+  file:close()
+  for _, prefix in ipairs { "yapp", "taurus" } do
+    for name in last(seen.windows).text:gmatch("%f[%w]" .. prefix .. "%.[%l_.]*%l") do
+      lu.assertStrContains(page, "`" .. name .. "`")
+      count = count + 1
+    end
+  end
+  lu.assertEquals(count, 13)
 end
 
 function T.test_refresh_and_copy()
