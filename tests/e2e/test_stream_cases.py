@@ -493,6 +493,19 @@ def test_a_conversation_that_another_protocol_takes_is_no_all_clear(folder, pass
     assert done.returncode == 20 and "was not decoded" not in done.stdout + done.stderr
 
 
+@levels.by_version
+@PASSES
+def test_a_first_message_that_another_protocol_takes_is_no_all_clear(folder, passes):
+    """Modbus has port 502, and takes the datagram whose Seq No is 0: it leaves the others, so they are found."""
+    path = written(folder, with_ports("udp", [(40000, 502)], fault=None), ported)
+    found = tshark.fields(path, ["yapp.seq"], "-Y", "yapp", *passes)
+    assert found == [[str(number)] for number in range(1, 20)]
+    done = tshark.run("-q", "-r", path, *passes, "-z", "yapp,check", check=False)
+    assert done.returncode == 21 and "try -d udp.port==502,yapp_serial" in done.stdout
+    done = tshark.run("-q", "-r", path, *passes, "-d", "udp.port==502,yapp_serial", "-z", "yapp,check", check=False)
+    assert done.returncode == 0, done.stdout
+
+
 def test_a_serial_interface_beside_ethernet_is_no_all_clear(folder):
     """Nobody said that its link type carries YAPP."""
     for data, code in (flight()[0][1], 21), (b"other bytes", 0):

@@ -113,6 +113,9 @@ function T.test_options()
   lu.assertEquals(options_of(tcp("\15\161\195\80", "") .. tcp("\195\80\15\162", ("\1"):rep(12))),
     { "-d tcp.port==4001,yapp_serial", "-d tcp.port==4002,yapp_serial" })
   lu.assertEquals(options_of("any" .. FRAME), {})
+  lu.assertEquals(senders.conversations(ipv4(40000))[1].payload, FRAME:sub(13, -5))
+  local cut = ipv4(40000):gsub("\0\56\0\0YP", "\0\55\0\0YP") -- a frame that ends in another datagram
+  lu.assertNil(senders.conversations(cut)[1].payload)
   -- Bytes of the packet before that look like IPv6 with TCP: 40 bytes, and a header of 20.
   local function before(length, words)
     return "any\96\0\0\0" .. length .. "\6" .. ("\0"):rep(33) .. ("\0"):rep(12) .. words .. ("\0"):rep(7) .. FRAME

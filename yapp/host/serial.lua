@@ -48,6 +48,7 @@ end
 function Dissector:scan(head)
   self.reading.lines.senders:scan(head)
   self.conversations = senders.conversations(head)
+  self.reading.lines:await(self.conversations)
   for _, one in ipairs(self.conversations) do ports.take(one.is_tcp, one.port) end
   if self.reading:is_yapp(head) then self:watch_tcp() end
 end

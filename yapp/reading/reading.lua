@@ -205,6 +205,7 @@ local function finding_result(self, packet, finding, index)
   end
   local transfer, id, seq, anomalies = transfers.new(finding, finding.bytes or packet.bytes)
   local source = self.lines:source(packet.line, id)
+  if packet.line.awaited then lines.note_read(packet.line, transfer) end
   local of_frame = records.new_serial_frame(packet, index, source, seq)
   local result = records.new_result("single", of_frame)
   result.transfer, result.anomalies = transfer, anomalies

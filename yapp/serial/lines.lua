@@ -27,6 +27,7 @@ function M.new(types, buses)
     end),
     by_key = {},
     clients = {}, -- [sender's address, receiver] = the latest line of TCP
+    awaited = {}, -- by key of a line: the payload of the first frame that the file has of it
     has_serial = false, -- whether a line is neither of UDP or TCP nor of an adapter
     sources = memo(function() return {} end), -- [sender in UDP or TCP][ID]
   }, Lines)
@@ -53,6 +54,8 @@ end
 --   latest       when its latest packet came, in seconds
 --   is_over      whether a segment of it ends the connection
 --   is_direct    whether TCP hands its bytes to YAPP; false where TLS does
+--   awaited      the payload of the first frame that the file has of it; nil once it was read, or
+--                if it is not known
 --   sources      [ID] = a source, see Lines:source; all lines of a sender share them }
 local function new_line(key, opposite, bus_key, bus)
   return {
@@ -72,6 +75,7 @@ local function new_line(key, opposite, bus_key, bus)
     latest = 0,
     is_over = false,
     is_direct = false,
+    awaited = nil,
     sources = {},
   }
 end
@@ -136,7 +140,7 @@ function Lines:of(kind, from, port, to, to_port, bus, time)
   local key = (bus or "") .. "|" .. kind .. "|" .. here .. "|" .. there
   if M.is_ip(kind, from) then
     line = new_ip_line(self, kind, key, from, port, there, time)
-    line.tag, line.latest = number, time or 0
+    line.tag, line.latest, line.awaited = number, time or 0, self.awaited[key]
   else
     local opposite = (bus or "") .. "|" .. kind .. "|" .. there .. "|" .. here
     line = new_serial_line(self, bus, key, opposite, kind == M.UDP)
@@ -145,14 +149,32 @@ function Lines:of(kind, from, port, to, to_port, bus, time)
   return line
 end
 
---- Return those of a list of conversations that no message was read of.
+-- Return the key of the line of a conversation.
+local function key_of(conversation)
+  local kind = conversation.is_tcp and M.TCP or M.UDP
+  return "|" .. kind .. "|" .. conversation.from .. "|" .. conversation.to
+end
+
+--- Await the first frames that the file has of conversations: another protocol may take them.
+-- conversations  of serial.senders
+function Lines:await(conversations)
+  for _, one in ipairs(conversations) do self.awaited[key_of(one)] = one.payload end
+end
+
+--- Note that a frame of a line was read.
+function M.note_read(line, transfer)
+  local is_first = transfer.payload == line.awaited or transfer.status == "truncated"
+  if line.awaited and is_first then line.awaited = nil end
+end
+
+--- Return those of a list of conversations that no message was read of, or not the first one.
 -- conversations  of serial.senders
 function Lines:unread(conversations)
   local list = {}
   for _, one in ipairs(conversations) do
-    local kind = one.is_tcp and M.TCP or M.UDP
-    local line = self.by_key["|" .. kind .. "|" .. one.from .. "|" .. one.to]
-    if not (line and next(line.sources)) then list[#list + 1] = one end
+    local line = self.by_key[key_of(one)]
+    local is_read = line and next(line.sources) and not line.awaited
+    if not is_read then list[#list + 1] = one end
   end
   return list
 end

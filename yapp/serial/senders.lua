@@ -172,10 +172,20 @@ local function has_size(bytes, index, row)
   return (offset - offset % 16) / 4 == row[2]
 end
 
+-- Return the payload of the frame that a datagram begins with, nil if the frame ends in another.
+local function first_payload(bytes, start)
+  local _, size = frame.parse(bytes, start)
+  local length = byte(bytes, start - 4) * 256 + byte(bytes, start - 3)
+  local from, to = start + frame.HEADER, start + frame.HEADER + size - 1
+  local is_inside = UDP_HEADER + frame.HEADER + size + frame.CRC_SIZE <= length
+  return is_inside and to <= #bytes and sub(bytes, from, to) or nil
+end
+
 --- Return the conversations that have frames in the first bytes of a file.
 -- returns  list of {
 --   is_tcp
 --   from, to  the sender and the receiver of the first frame, "address:port" each
+--   payload   of this frame, nil if it is not known
 --   port      the lower one, which is the server's }
 function M.conversations(bytes)
   local list, is_there = {}, {}
@@ -195,6 +205,7 @@ function M.conversations(bytes)
           is_tcp = row[1] == TCP,
           from = from .. ":" .. port,
           to = to .. ":" .. other,
+          payload = row[1] == UDP and first_payload(bytes, start) or nil,
           port = math.min(port, other),
         }
       end
