@@ -230,11 +230,11 @@ def test_which_ports_there_are(extcap, monkeypatch):
     assert extcap.serial_ports() == ports
 
 
-@pytest.mark.parametrize("text, is_locked", [(f"{os.getpid():10}\n", True), ("         0\n", False), ("nobody", False), (None, False)])
+@pytest.mark.parametrize("text, is_locked", [("own", True), ("1999999999\n", False), ("nobody", False), (None, False)])
 def test_a_port_that_is_locked_by_a_file(extcap, monkeypatch, tmp_path, text, is_locked):
     """By the number of a program that runs; such a file of one that was killed says nothing."""
     if text is not None:
-        (tmp_path / "LCK..ttyUSB0").write_text(text.replace("         0", "1999999999"))
+        (tmp_path / "LCK..ttyUSB0").write_text(text.replace("own", f"{os.getpid():10}\n"))
     moved = {"/var/lock/LCK..ttyUSB0": tmp_path / "LCK..ttyUSB0"}
     monkeypatch.setattr(extcap, "open", lambda path, **more: open(moved[path], **more), raising=False)
     assert extcap.is_locked("/dev/ttyUSB0") == is_locked
