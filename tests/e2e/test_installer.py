@@ -748,11 +748,11 @@ def test_one_version():
         assert re.search(pattern, (tshark.ROOT / name).read_text(), re.MULTILINE)[1] == version, name
 
 
-def demo(folder, capture, **options):
+def demo(folder, capture, root=tshark.ROOT, **options):
     """Run `make demo`'s program; return its lines, and assert that nothing is on stderr and nothing stays behind."""
     (folder / "tmp").mkdir()
     (folder / "tmp").chmod(0o777)
-    done = subprocess.run([tshark.ROOT / "tests/demo", capture], capture_output=True, text=True, check=True, cwd=tshark.ROOT,
+    done = subprocess.run([root / "tests/demo", capture], capture_output=True, text=True, check=True, cwd=root,
                           env={**os.environ, "TMPDIR": str(folder / "tmp"), "HOME": str(folder)}, **options)
     assert not done.stderr and not any((folder / "tmp").iterdir())
     assert "Severity" not in done.stdout  # expert items repeat the flags
@@ -780,5 +780,9 @@ def test_demo_beside_an_installed_plugin(folder):
     run(folder)
     ordinary = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}  # root gets no plugin from 4.4 on
     folder.chmod(0o777)
-    lines = demo(folder, "docs/first.pcapng", **ordinary)
+    root = tshark.copy_plugin(folder / "clone", tshark.ROOT)  # where that user may read it
+    for name in ("tests/demo", "docs/first.pcapng"):
+        (root / name).parent.mkdir()
+        shutil.copy(tshark.ROOT / name, root / name)
+    lines = demo(folder, "docs/first.pcapng", root, **ordinary)
     assert "YAPP faults: 1" in lines and lines[-1].startswith("Next: open docs/first.pcapng")
