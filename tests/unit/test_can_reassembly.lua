@@ -262,6 +262,27 @@ function T.test_a_start_or_an_end_is_recorded_twice()
   end
 end
 
+-- A recorder holds most frames three times, so each End has to search; the searches do not add up.
+function T.test_frames_recorded_three_times()
+  local thrice = "S32 S32= S32= M8 M8= M8= M8 M8= M8= M8 M8= M8= E8 "
+  local text = ("S32 S32= M8 M8 M8 M8= M8= E8 E8= E8= " .. thrice):rep(7)
+  local known, frames = words.new(), words.frames(text, { ids = MOTOR, buses = true })
+  local payloads, count, start, time = {}, 0, nil, 0
+  for _, frame in ipairs(frames) do
+    local is_new = can_id.fields[frame.can_id].ctrl == can_id.START and frame.data ~= start
+    start, time = is_new and frame.data or start, time + (is_new and 0.05 or 1e-4)
+    frame.time = time
+  end
+  words.visits(known, frames)
+  for _, frame in ipairs(frames) do
+    local said, found = words.visit(known, frame, true)
+    if said:find("^good") and not payloads[found.payload] then
+      payloads[found.payload], count = true, count + 1
+    end
+  end
+  lu.assertEquals(count, 14)
+end
+
 -- Random frames -----------------------------------------------------------------------------------
 
 local function shuffled(list, random)

@@ -51,6 +51,7 @@ local function open_message(self, message, is_retry)
     start = self.starts, -- of the pool when it was opened
     anomaly = nil, -- what said that it is superseded: withdrawn if it turns out good
     is_retry = is_retry, -- whether its last fragment was shown as that of a broken message
+    is_copy = false, -- whether a good message has the same Start
   })
 end
 
@@ -117,18 +118,34 @@ local function give_up(self, candidate)
   if not candidate.is_retry then self.reassembly:give_up(candidate.message) end
 end
 
---- Note a Start: it supersedes the open messages; give up the one that is too old.
+-- Give up copies of good messages that came too long ago to end yet: each search would try them.
+-- time  of the newest frame
+local function give_up_copies(self, time)
+  local open = {}
+  for _, candidate in ipairs(self.open) do
+    if candidate.is_copy and not self.reassembly:is_near(candidate.message.time, time) then
+      give_up(self, candidate)
+    else
+      open[#open + 1] = candidate
+    end
+  end
+  self.open = open
+end
+
+--- Note a Start: it supersedes the open messages; give up those that are too old.
 -- anomaly  the one that notes this of the newest message, or nil
+-- time     of the Start
 -- returns  whether any is left
-function Pool:supersede(anomaly)
+function Pool:supersede(anomaly, time)
   local open = self.open
   local newest = open[#open]
   newest.message.status = "superseded"
   if anomaly then newest.anomaly, anomaly.is_open = anomaly, true end
   self.starts = self.starts + 1
   if self.starts - open[1].start > MAX_SUPERSEDED then give_up(self, table.remove(open, 1)) end
+  give_up_copies(self, time)
   drop_frames(self)
-  return open[1] ~= nil
+  return self.open[1] ~= nil
 end
 
 -- Search depth first over the frames from `first` on; the newest frame has to be the last taken.
@@ -200,14 +217,18 @@ local function assign_frames(message, frames)
   return table.concat(chunks), is_truncated
 end
 
--- A recorder may hold the Start of a good message twice: it opened another one, which is not lost.
-local function forgive_copy(self, message)
-  local newest = self.open[#self.open]
-  local other = newest and newest.message
-  if not other or other.status or not self.reassembly:is_near(message.time, other.time) then
-    return
+local function have_same_start(a, b)
+  return a.crc == b.crc and a.size == b.size
+end
+
+-- A recorder may hold the Start of a good message twice: it opened others, which are not lost.
+local function forgive_copies(self, message)
+  for _, candidate in ipairs(self.open) do
+    local other = candidate.message
+    if have_same_start(other, message) and self.reassembly:is_near(message.time, other.time) then
+      candidate.is_copy, other.status = true, "superseded"
+    end
   end
-  if other.crc == message.crc and other.size == message.size then other.status = "superseded" end
 end
 
 -- End an open message with these frames: with a status if it is known, else the CRC decides.
@@ -223,7 +244,7 @@ local function finish_candidate(self, index, frames, padding, status)
   if message.status == "good" then -- else its frames may still be another's
     for _, frame in ipairs(frames) do frame.is_taken = true end
     if candidate.anomaly then withdraw(candidate.anomaly) end
-    forgive_copy(self, message)
+    forgive_copies(self, message)
   end
   drop_frames(self)
   return message
@@ -241,12 +262,14 @@ local function complete(self)
   local frames, padding = all_since_start(self, newest, seed_of(newest))
   if frames then return finish_candidate(self, #open, frames, padding) end
   for i, candidate in ipairs(open) do
+    local message, before = candidate.message, open[i - 1]
     -- Let each message use its share of the credit: the oldest is usually broken, and searches most
     -- frames.
     self.reserve = self.credit * (1 - 1 / (#open - i + 1))
-    local message = candidate.message
     local goal = { crc = message.crc, frames = {}, padding = false }
-    if search(self, goal, first_behind(self, message), seed_of(message), message.size) then
+    -- What does not complete a message completes no copy of it either.
+    if not (before and have_same_start(before.message, message)) and
+      search(self, goal, first_behind(self, message), seed_of(message), message.size) then
       return finish_candidate(self, i, goal.frames, goal.padding)
     end
   end

@@ -205,7 +205,7 @@ local function supersede(self, frame)
     open = interleaved.new(self, open, frame.can_id)
     self.open[frame.slot] = open
   end
-  if open:supersede(anomaly) then return open end
+  if open:supersede(anomaly, frame.time) then return open end
   close(self, frame.slot)
 end
 
