@@ -541,7 +541,7 @@ def test_a_client_that_connects_again(folder, passes, how, sources):
 PAGE = (tshark.ROOT / "docs/streams.md").read_text()
 COMMANDS = [line.strip() for line in re.findall(r"(?m)^    (.*)", PAGE) if not line.startswith(("sudo", "tshark -i"))]
 # The page's files, and how many messages of Motor Data each has.
-FILES = {"uart.pcapng": "two_uarts_directions.pcapng", "usb.pcap": "usbmon_ftdi.pcap", "udp.pcap": "udp_bridge_40.pcap",
+FILES = {"uart.pcapng": "two_uarts_directions.pcapng", "usb.pcapng": "usbmon_ftdi.pcap", "udp.pcap": "udp_bridge_40.pcap",
          "tcp.pcap": "tcp_8_byte_segments.pcap", "tls.pcapng": "tls12_4433.pcapng", "async.csv": "saleae_async.csv"}
 
 

@@ -41,8 +41,8 @@ function M.define(proto, catalogue, field_kinds, max_id)
   for _, message in ipairs(catalogue.messages) do
     local title, id, period = message.title, ("0x%x"):format(message.id), message.every
     local about = ("The IDs that carry %s; %s by default, which Wireshark shows as %d. Change " ..
-      "it if a controller has other IDs, or if several controllers share a bus: " ..
-      "0x210,0x211,0x300-0x303."):format(title, id, message.id)
+      "it if a controller has other IDs, or if several controllers share a bus: %s-0x%x."):format(
+      title, id, message.id, id, message.id + 3)
     local label = ("%s message IDs (%s = %d)"):format(title, id, message.id)
     prefs[message.name .. "_ids"] = Pref.range(label, id, about, max_id)
     if period then periods[#periods + 1] = ("%s %g s"):format(title, period) end
@@ -71,9 +71,9 @@ function M.define(proto, catalogue, field_kinds, max_id)
   prefs.all_extended = Pref.bool("All extended CAN frames are YAPP", false,
     "Switch it on for a bus that carries nothing but YAPP: you see unknown IDs, other YAPP CTL " ..
     "values and malformed frames, too. By default the plugin takes only what is surely YAPP.")
-  prefs.search_all = Pref.bool("Look for YAPP in all TCP and UDP traffic", false,
-    "The plugin detects YAPP in TCP and UDP automatically in live captures, and if a frame is " ..
-    "among the first 64 KB of a file. Switch it on if YAPP comes later in your files. It costs " ..
+  prefs.search_all = Pref.bool("Look for YAPP in all TCP, UDP and USB traffic", false,
+    "The plugin finds YAPP in TCP, UDP and USB by itself in live captures, and in files whose " ..
+    "first 64 KB have a header. Switch it on if YAPP comes later in your files. It costs " ..
     "about 1 µs for each packet that no other dissector takes.")
   prefs.divisor = Pref.enum("Compressed floats divide by", field_kinds.MAPPING,
     "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed " ..
@@ -84,8 +84,8 @@ function M.define(proto, catalogue, field_kinds, max_id)
     })
   prefs.user_dlt = Pref.range("Link types that carry a serial stream", "",
     "147 to 162, the numbers of DLT_USER0 to DLT_USER15. Set it for serial captures with such a " ..
-    "link type, if Wireshark's DLT_USER table is not convenient: it takes the link type over " ..
-    "from that table. Usually empty.",
+    "link type, if Wireshark's DLT_USER table is not convenient: this preference overrides that " ..
+    "table. Usually empty.",
     LAST_DLT)
 end
 

@@ -59,7 +59,7 @@ local YAPP = {
   { "bus", "STRING", "Bus",
     "Name of the bus, where the capture has one" },
   { "source", "STRING", "Source",
-    "The name from yapp.sources, or without one the bus and ID, such as can1 0x210" },
+    "The name from yapp.sources; without one the ID, behind the bus if there are several" },
   { "message.fault", "BOOLEAN", "Message has a fault flag set",
     "Set in every frame of a message that has a fault" },
   { "copy_of", "FRAMENUM", "Copy of the message in",
