@@ -42,7 +42,8 @@ needs-tests: needs-tshark
 	  /usr/bin/python3 -c 'import xdist; import can; import serial; import hatchling' 2>/dev/null)
 
 needs-gui: needs-tests
-	$(call install-missing,wireshark Xvfb xdotool import tesseract,wireshark xvfb xdotool imagemagick tesseract-ocr)
+	$(call install-missing,wireshark Xvfb openbox xdotool xclip import tesseract,wireshark xvfb openbox xdotool xclip \
+	  imagemagick tesseract-ocr)
 
 ## What all tests need, installed once as root: then `make test` asks for nothing, as whom it may run (the workflows)
 needs-all: needs-tests needs-bench needs-gui needs-tools-packages
