@@ -6,10 +6,9 @@
 -- the headers of the blocks of pcapng and of the records of pcap.
 --
 -- A bus is an interface, an index in it (Linux cooked v2), or a direction in it (RTAC; packet flags
--- of serial lines).  An
--- interface whose packets may have CAN frames inside (Ethernet, PPI) is a bus once one of them has.
--- An interface of another section with the same name and link type is the same.  Buses that may
--- carry YAPP are numbered from 1 in the order in which they show.
+-- of serial lines).  An interface whose packets may have CAN frames inside (Ethernet, PPI) is a bus
+-- once one of them has.  An interface of another section with the same name and link type is the
+-- same.  Buses that may carry YAPP are numbered from 1 in the order in which they show.
 
 local frame = require "yapp.wire.frame"
 local utf8 = require "yapp.base.utf8"

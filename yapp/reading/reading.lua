@@ -43,7 +43,7 @@ function M.new(types, buses)
   }, Reading)
 end
 
---- Report results from now on, but for plain fragments: nobody needs to hear of these.
+--- Report results from now on, but for plain fragments, which no statistic counts.
 -- listener  gets each, as listener:report(result); false for no listener
 function Reading:listen(listener)
   self.listener = listener

@@ -51,7 +51,6 @@ function Queue:reset()
   self.fallen = 0 -- sum of the seconds that the capture's clock went back, see note_step
   self.falls = {} -- these steps, but those from which it returned; the latest first
   self.clocks = {} -- by source, see time_of
-  self.lacks_clock = false -- whether times come from the controllers
   self:begins(0, 0, 0) -- until a time is known, if ever
   self.losses, self.max_losses = {}, MAX_LOSSES -- events that wait, see hand_on_losses
   self.seen = {} -- [value that all losses of one message share] = true once one was handed on
@@ -226,7 +225,6 @@ end
 --              packet that the first pass rejected is another's in the second, with another time
 -- lacks_clock  whether rel is the time of a controller: to go back is no event then
 function Queue:packet(number, rel, lacks_clock)
-  self.lacks_clock = lacks_clock
   flush(self)
   local step = self.last and kinds.span(self.last, rel) or 0
   self.last, self.latest, self.packets = rel, number, self.packets + 1
