@@ -146,7 +146,7 @@ local settings = { version = VERSION, catalogue = catalogue, accepts_all = false
 
 -- What reads and shows YAPP; nil until something needs it, see make_reading.
 local reading, builder, frames, streams
-local intake, stat -- the same of statistics, see make_statistics
+local stat -- the same of statistics, see make_statistics
 
 local function reset_reading()
   reading:reset { late = settings.late, catalogue = catalogue, buses = buses }
@@ -305,10 +305,9 @@ end
 local function make_statistics()
   if stat then return end
   make_reading()
-  intake = stat_intake.new(catalogue)
   stat = stat_taps.new {
     settings = settings,
-    intake = intake,
+    intake = stat_intake.new(catalogue),
     builder = builder,
     buses = buses,
     reading = reading,
@@ -384,10 +383,7 @@ function yapp.init()
   -- browser pays for that; Wireshark's windows and sharkd, whose captures may be long, do not.
   if yapp_reads_headers then socketcan.wrap(header, not settings.accepts_all) end
   types:reset(buses:are_several())
-  if stat then
-    stat:reset()
-    intake:reset()
-  end
+  if stat then stat:reset() end
   if streams then reset_reading() end
   local found = buses.found
   if found.head then

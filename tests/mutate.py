@@ -12,6 +12,7 @@ those that SUITES names for the module, or for its folder if no unit test loads 
 tests/equivalent_mutants.txt with the reason.
 """
 import argparse
+import collections
 import concurrent.futures
 import math
 import os
@@ -26,6 +27,8 @@ import subprocess
 import sys
 import tempfile
 import time
+
+import witnesses
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 TESTS = sorted(path.relative_to(ROOT) for path in ROOT.glob("tests/unit/test_*.lua"))
@@ -198,13 +201,19 @@ def suite_of(path):
     return SUITES[max((begin for begin in SUITES if str(path).startswith(begin)), key=len)]
 
 
-def passes_suite(folder, path, python, most=600):
-    """Whether the tests of SUITES pass in a copy of the tree: a mutant may make them wait without end."""
-    run = subprocess.run([python if str(path).startswith("tools/") else "/usr/bin/python3", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider",
-                          *suite_of(path)], cwd=folder, capture_output=True, text=True, check=False, timeout=most,
-                         env={**os.environ, "YAPP_PLUGIN_ROOT": str(folder), "PYTHONPATH": str(folder / "tools/src")}, **USER)
-    assert run.returncode in (0, 1, 2), run.stdout[-500:] + run.stderr[-500:]
-    return run.returncode == 0
+known = collections.defaultdict(witnesses.Witnesses)  # by module
+
+
+def failed_test(folder, path, python, suite, most=600):
+    """The first test of a suite that fails in a copy of the tree: a mutant may make it wait without end, and take all memory."""
+    command = ["prlimit", f"--as={2 * MEMORY}", python if str(path).startswith("tools/") else "/usr/bin/python3", "-m", "pytest"]
+    environment = {**os.environ, "YAPP_PLUGIN_ROOT": str(folder), "PYTHONPATH": str(folder / "tools/src"), "YAPP_TIMEOUT": "60"}
+    return witnesses.failed_test(suite, command, cwd=folder, timeout=most, env=environment, **USER)
+
+
+def passes_suite(folder, path, python):
+    """Whether the tests of SUITES pass in a copy of the tree."""
+    return not known[path].failed_test([[file] for file in suite_of(path)], lambda suite: failed_test(folder, path, python, suite))
 
 
 def survives(folder, path, mutant, tests, seconds, python):
@@ -262,8 +271,6 @@ def main():
             before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
             assert passes(whole, test, 600) or passes(whole, test, 600), f"{test} fails without a mutant"
             seconds[test] = (resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before) / 2
-        for path in options.modules if options.other else []:
-            assert passes_suite(whole, path, options.python), f"{suite_of(path)} fails without a mutant"
         free.put(whole)
 
         def judge(path, line, before, after, mutant):
@@ -281,6 +288,9 @@ def main():
             score[path] = killed + (not survived), every + 1
             if survived:
                 print(f"{path}:{line}:\n  - {before}\n  + {after}", flush=True)
+        for path, one in known.items():  # a test that fails without a mutant kills none
+            failed = one.known and failed_test(whole, path, options.python, one.known)
+            assert not failed, f"{path}: {failed} fails without a mutant"
     for path, (killed, every) in score.items():
         print(f"{path}: {killed} of {every} killed")
     killed, every = map(sum, zip(*score.values()))

@@ -67,6 +67,20 @@ def test_divisor(choice, divisor, current, speed):
     assert {name: health[name] for name in wanted} == {name: [value] for name, value in wanted.items()}
 
 
+# What Info leaves out --------------------------------------------------------------------------------------------
+
+@levels.each_once
+@pytest.mark.parametrize("hides_source, name", [("FALSE", " left"), ("TRUE", "")])
+@pytest.mark.parametrize("hides_values, values", [
+    ("TRUE", "ESC 25 °C  0.00 A torque"), ("FALSE", "0.0/0.0 RPM  47.97 V  0.00 A")])
+def test_what_columns_show_is_left_out_of_info(folder, hides_source, name, hides_values, values):
+    """Of a message with nothing to remark."""
+    path = write(folder, f"can0 fd [210 {MOTOR.removesuffix('FF')}41]")
+    shown = tshark.fields(path, [expected.column("Info")], "-o", "yapp.sources:0x210=motor:left", "-o",
+                          f"yapp.hide_source:{hides_source}", "-o", f"yapp.hide_values:{hides_values}")
+    assert shown == [[f"Motor Data{name}  {values}"]]
+
+
 # Which IDs carry which message -----------------------------------------------------------------------------------
 
 def messages(frames):
@@ -308,4 +322,16 @@ def test_loaded_once(folder, installed, script, said):
     lines = [line for line in done.stderr.splitlines() if line.startswith("yapp: ")]
     assert len(lines) == said
     for line in lines:
-        assert "is not loaded" in line and f"{folders[0]}/yapp.lua" in line and "is already there" in line
+        assert "is not loaded" in line and f"{folders[0]}/yapp.lua" in line and line.endswith("is already there")
+
+
+def test_a_copy_of_another_version_is_told(folder):
+    old = tshark.copy_plugin(folder / "old")
+    script = old / "yapp.lua"
+    script.write_text(re.sub(r'local VERSION = ".*"', 'local VERSION = "1.2.3"', script.read_text(), count=1))
+    installed = tshark.install_plugin(folder / ".local/lib/wireshark/plugins/yapp", old)
+    done = tshark.run(*tshark.load(tshark.PLUGIN / "yapp.lua"), "-r", make.capture("document_command")[0], plugin=False,
+                      env={"HOME": str(folder)})
+    said, = [line for line in done.stderr.splitlines() if line.startswith("yapp: ")]
+    assert said == (f"yapp: {tshark.PLUGIN}/yapp.lua ({tshark.plugin_version()}) is not loaded: {installed}/yapp.lua (1.2.3) "
+                    "is already there; remove or update one of the two")

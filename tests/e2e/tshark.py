@@ -21,7 +21,7 @@ PLUGIN = pathlib.Path(os.environ.get("YAPP_PLUGIN_ROOT", ROOT)).resolve()
 CAPTURES = ROOT / "test_captures"
 PLUGIN_FILES = ["yapp.lua", "taurus_fields.lua", "yapp"]
 ROUTE = os.environ.get("YAPP_ROUTE", "script")
-TIMEOUT = 300
+TIMEOUT = int(os.environ.get("YAPP_TIMEOUT", 300))
 # What Wireshark, GLib and the C library check of their memory, and that Wireshark aborts where it would only report.
 STRICT = {"WIRESHARK_DEBUG_WMEM_OVERRIDE": "strict", "WIRESHARK_ABORT_ON_TOO_MANY_ITEMS": "1",
           "WIRESHARK_ABORT_ON_DISSECTOR_BUG": "1", "G_SLICE": "debug-blocks",

@@ -24,7 +24,7 @@ local function new_intake()
   local queue = { offer = function(_, event, visited) offered[#offered + 1] = { event, visited } end,
     add_undissected = function(_, event) offered[#offered + 1] = { event } end }
   intake:open(queue)
-  return intake, offered
+  return intake, offered, queue
 end
 
 -- A message, as reading.messages reads it; with.frame: the number of its packet; with.of: its message type.
@@ -87,6 +87,20 @@ function T.test_frames_that_may_be_messages()
   lu.assertFalse(reported(other, 255, 9))
   lu.assertTrue(reported(other, 0, 9), "they count modulo 256")
   lu.assertEquals(offered[1][1].values, { size = 9 })
+end
+
+-- Wireshark's windows read a capture again and again, and other captures.
+function T.test_what_an_earlier_reading_left_behind()
+  local intake, offered, queue = new_intake()
+  local other = { id = 7, bus = "can0" }
+  local function report(seq)
+    intake:report(result("undissected", { source = other, seq = seq, length = 9 }))
+    return #offered
+  end
+  lu.assertEquals({ report(5), report(6) }, { 0, 1 })
+  intake:close()
+  intake:open(queue)
+  lu.assertEquals({ report(7), report(8) }, { 1, 2 }, "7 follows none")
 end
 
 function T.test_a_tap_leaves_with_the_next_message()

@@ -53,12 +53,12 @@ function M.new(catalogue)
     has_orphans = false, -- whether a state has had an orphan
     stretches = nil, -- by line: skipped bytes, while nothing else comes
   }, Intake)
-  self:reset()
   return self
 end
 
---- Begin to hand on events.
+--- Begin to hand on events.  What an earlier reading left behind is forgotten.
 function Intake:open(queue)
+  self:reset()
   self.queue = queue
 end
 
@@ -67,7 +67,7 @@ function Intake:close()
   self.queue = nil
 end
 
---- Forget the capture file.
+--- Forget what was read.
 function Intake:reset()
   self.states, self.stretches, self.has_orphans = memo(new_state), {}, false
 end
