@@ -5,6 +5,7 @@
 -- Its argument is { kind, name }: what is planted; or {}: print the rows "kind<tab>name" of all that can be.
 local row = ...
 if type(row) ~= "table" then return end -- run by Wireshark, in a plugin folder
+if package.loaded["yapp.plugin"] then return end -- the plugin is there already: this copy does not load
 
 local unpack_all = table.unpack or unpack -- 5.2 has both
 local kind, name = row[1], row[2]
