@@ -156,7 +156,7 @@ def test_what_cannot_be_read_is_said_and_is_never_well(setting, said):
     done = tshark.run("-q", "-r", tshark.CAPTURES / "cases/g0_clean.pcapng", "-o", f"yapp.{setting}", "-z", "yapp,check,fault=0",
                       check=False)
     assert done.returncode == (20 if "ids" in setting else 21)  # what is no Motor Data any more is unknown
-    assert f"yapp: preferences: {said}" in done.stderr and f"yapp: check: preferences: {said}" in done.stderr
+    assert f"yapp: preferences: {said}\n" in done.stderr and done.stderr.count(said) == 1 and f"preferences: {said}" in done.stdout
 
 
 # The catalogue ---------------------------------------------------------------------------------------------------

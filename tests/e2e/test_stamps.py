@@ -11,6 +11,7 @@ import tshark
 CASES = tshark.CAPTURES / "cases"
 EQUAL = "all packets of this capture have the same time stamp: how long faults, gaps and silences lasted is not known"
 FLIGHT = flights.make(3)
+CLEAN = flights.make(5, True)
 
 
 def z(path, what, *arguments):
@@ -49,3 +50,20 @@ def test_no_fault_is_missed(folder, stamp):
     assert {row["active"] for row in rows} == {None} and EQUAL in said
     code, printed, _ = z(path, "check,silence=0,stale=0,jump=0", *FLIGHT.arguments("candump"))
     assert code == 21 and not re.search("(?m)^(FAILED|ok) +(silence|stale|jump)", printed)
+
+
+@pytest.mark.parametrize("ahead", [(0, 9, 4), (3, 0, 1), (0, 7.4, 2), (5, 0, 5)], ids=str)
+def test_a_recorder_for_each_message(folder, ahead):
+    """One adapter's clock is seconds ahead of the next one's: nobody is silent, at no time and not to the end."""
+    path = folder / "flight.log"
+    CLEAN.write(path, "candump")
+    lines = []
+    for line in path.read_text().splitlines():
+        stamp, bus, data = line.split()[:3]
+        lines.append(f"({float(stamp[1:-1]) + ahead[(int(data[:8], 16) >> 18) % 3]:.6f}) {bus} {data}\n")
+    path.write_text("".join(lines))
+    arguments = CLEAN.arguments("candump")
+    _, printed, _ = z(path, "events,json", *arguments)
+    assert {json.loads(line)["kind"] for line in printed.splitlines()} == {"clock"}
+    code, printed, _ = z(path, "check", *arguments)
+    assert code == 20 and re.findall(r"(?m)^FAILED +(\S+)", printed) == ["clock=0"]

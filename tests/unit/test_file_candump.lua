@@ -229,6 +229,16 @@ function T.test_lines_that_may_have_been_frames()
   lu.assertEquals(log.drops, { { count = 2, frame = 3, time = 1700000000 + 1 / 1000000 } })
 end
 
+-- A logger that lost its power leaves bytes of zeros.
+function T.test_bytes_of_zeros()
+  for _, text in ipairs { HEAD .. ("\0"):rep(600) .. "\n" .. HEAD .. HEAD, HEAD .. HEAD .. "\0\0\0" .. HEAD .. HEAD } do
+    local log, file = opened(text)
+    local count = 0
+    while log:read(file) do count = count + 1 end
+    lu.assertEquals({ count, log.drops[1].count, log.drops[2] }, { 3, 1 })
+  end
+end
+
 -- The frame behind has the time that is shown of it, or none.
 function T.test_times_of_drops()
   local drop = "DROPCOUNT: dropped 2 CAN frames\n"

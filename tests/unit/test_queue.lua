@@ -19,8 +19,8 @@ local function add(queue, statistic, filter, row)
   return queue:add(statistic, { filter = filter, row = row or {} })
 end
 
-local function finish(queue, unfinished)
-  return { queue:finish { unfinished = unfinished or {}, drops = {}, extended = 0, can = 0 } }
+local function finish(queue, unfinished, unread)
+  return { queue:finish { unfinished = unfinished or {}, unread = unread, drops = {}, extended = 0, can = 0 } }
 end
 
 -- A statistic that notes the payloads of what it gets; payloads are names here.
@@ -41,6 +41,49 @@ end
 
 local function offer(queue, frame, name, values, visited)
   queue:offer(event_of(frame, name, "message", values), visited or false)
+end
+
+-- The stamps of recorders: seconds that each is behind, in the order in which their packets first come.
+local RECORDERS = { { 0, 9, 4 }, { 0, 3, 1 }, { 4, 0, 9 }, { 0, 7.4 }, { 1, 0, 2.3, 7 } }
+
+-- Each source has a recorder of its own.  Its messages are of two packets.  Foreign packets come from
+-- the first recorder.  The time that went by is right to the time between two packets.
+function T.test_stamps_of_several_recorders()
+  for _, behind in ipairs(RECORDERS) do
+    local queue, one, number = new_queue(), notes(), 0
+    local sources, since, went_by = {}, nil, nil
+    for i in ipairs(behind) do sources[i] = { key = i, id = i } end
+    add(queue, one)
+    local function packet(stamp)
+      number = number + 1
+      queue:packet(number, stamp)
+    end
+    for i = 1, 40 do
+      for k, source in ipairs(sources) do
+        local stamp = i * 0.1 + k * 0.01 - behind[k]
+        packet(stamp)
+        queue:offer(kinds.event("message", number + 1, stamp, source, nil, { payload = "a" }), false)
+        packet(stamp)
+      end
+      packet(i * 0.1 + 0.05 - behind[1])
+      if i == 5 then since, went_by = queue.now, i * 0.1 end
+    end
+    lu.assertAlmostEquals(queue.now - since, 4 - went_by, 0.05, table.concat(behind, " "))
+    finish(queue)
+  end
+end
+
+-- A live capture went on in another file: its packets are none of this one, and nothing is lost at the end.
+function T.test_packets_of_another_file()
+  local queue, one = new_queue(), notes()
+  add(queue, one)
+  offer(queue, 1, "first")
+  queue:packet(1, 1)
+  queue:stop()
+  offer(queue, 1, "of another")
+  queue:packet(1, 1)
+  finish(queue, { event_of(2, "cut", "unfinished") }, "not all")
+  lu.assertEquals({ one.got, queue.packets }, { { "first" }, 1 })
 end
 
 -- Packets of a conversation that was unknown when they came.

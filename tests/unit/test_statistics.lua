@@ -1081,7 +1081,7 @@ local CHANGED = { missing = { 3, '"count":3', "messages missing by Seq No: 3" },
   reboot = { 12.3, "", "controller rebooted (its clock went back by 12.300 s)" },
   stale = { true, "", "controller clock did not advance" },
   jump = { 3.25, '"length":3.250000000', "controller clock jumped ahead by 3.250 s" },
-  shared = { true, "", "two controllers appear to send this ID" } }
+  shared = { 2 * 0x20000, "", "two controllers appear to send this ID" } }
 
 -- fields.json describes each key of JSON, once.
 function T.test_each_value_of_a_kind_is_a_column()
@@ -1127,7 +1127,7 @@ end
 
 -- Once two controllers share a source, what follows from its messages is unreliable; and that is said.
 function T.test_a_source_that_two_controllers_share()
-  local records = { record(1, 0), record(2, 0.1, { change = { shared = true }, is_unreliable = true }),
+  local records = { record(1, 0), record(2, 0.1, { change = { shared = 2 * 0x20000 }, is_unreliable = true }),
     record(3, 0.2, { is_unreliable = true }) }
   local text = "two controllers appear to send can0 0x210: from frame 2 on changes of faults, reboots and gaps are " ..
     "unreliable and left out"
@@ -1143,6 +1143,39 @@ function T.test_a_source_that_two_controllers_share()
   lu.assertEquals(verdicts("shared=0,fault=0,motor.gap=9,motor.rate=1,crc=0", records), { "shared=0 left false 1 2",
     "fault=0 left null 0 null", "motor.gap=9 left null 0.1 2", "motor.rate=1 left null 10 3", "crc=0 left true 0 null",
     "unknown=0 null true 0 null" })
+end
+
+-- What a shared source explains is no event: it did not reboot, nor was it silent.  What came before it stays.
+function T.test_what_a_shared_source_explains()
+  local function changes(number, source)
+    local list = {}
+    for i, change in ipairs { { reboot = 3 }, { late = 1.5 }, { reboot = 90 }, { jump = 90, late = 1.2 }, { stale = true } } do
+      list[i] = record(number + i, (number + i) / 10, { change = change, source = source })
+    end
+    return list
+  end
+  local function kinds_in(shared_since)
+    local records = changes(1)
+    records[6] = record(7, 0.7, { change = { shared = shared_since and shared_since * 0x20000 }, is_unreliable = true })
+    local list, counts = {}, {}
+    for _, line in ipairs(lines((run({ "events,json" }, records)))) do list[#list + 1] = line:match('"kind":"(.-)"') end
+    for _, name in ipairs { "reboot", "silence", "jump", "stale" } do
+      counts[#counts + 1] = run({ "check,json," .. name .. "=0" }, records):match('"seen":(%d)')
+    end
+    return table.concat(list, " "), table.concat(counts)
+  end
+  for _, row in ipairs {
+    { 2, "shared", "0000" },
+    { 3, "reboot shared", "1000" },
+    { 4, "reboot silence shared", "1100" },
+    { 6, "reboot silence reboot silence jump shared", "2210" },
+  } do
+    lu.assertEquals({ kinds_in(row[1]) }, { row[2], row[3] })
+  end
+  local many = {} -- more than are held
+  for i = 1, 200 do many[i] = record(i, i / 10, { change = { reboot = 1 } }) end
+  lu.assertEquals(#lines((run({ "events,json" }, many))), 200)
+  lu.assertStrContains(run({ "check,json,reboot=0" }, many), '"seen":200')
 end
 
 -- Words ----------------------------------------------------------------------------------------------------------

@@ -37,6 +37,7 @@ local function new_queue(settings, hint)
     seen.matched = {}
     return { matched = seen.matched }
   end
+  function queue.stop() seen.has_stopped = true end
   function queue.go_direct() return wireshark.is_direct end
   function queue.end_packets() seen.is_over = true end
   function queue.finish(_, capture)
@@ -298,12 +299,33 @@ local function count_of(list, method)
   return count
 end
 
+-- What was said of a preference when it was read is not said again.
+function T.test_a_problem_is_said_once()
+  local preferences = require("yapp.host.preferences")
+  wireshark.code, wireshark.texts = 21, { "preferences: late", "check: preferences: late\ncheck: other" }
+  wireshark.on_read = function() preferences.complain_once { "late" } end
+  tshark("yapp,faults")
+  lu.assertEquals(seen.stderr, { "yapp: preferences: late\n", "yapp: check: other\n" })
+end
+
+-- A live capture with -b goes on in another file.
+function T.test_another_file()
+  local stat = new_stat(false)
+  stat:reset()
+  stat:begin("yapp,faults")
+  stat:reset()
+  lu.assertNil(seen.has_stopped)
+  read_packets()
+  stat:reset()
+  lu.assertTrue(seen.has_stopped)
+end
+
 function T.test_exit_codes()
   lu.assertNil(tshark("yapp,faults"))
   lu.assertEquals({ seen.stderr, seen.may_go_on }, { {}, false })
   wireshark.code, wireshark.texts = 20, { "one\ntwo", "three" }
   lu.assertEquals(tshark("yapp,faults"), 20)
-  lu.assertEquals(seen.stderr, { "yapp: one\nyapp: two\n", "yapp: three\n" })
+  lu.assertEquals(seen.stderr, { "yapp: one\n", "yapp: two\n", "yapp: three\n" })
   wireshark.fails = true
   lu.assertEquals(tshark("yapp,faults"), 21)
   lu.assertEquals(seen.stderr[#seen.stderr], "yapp: finish failed\n")

@@ -458,7 +458,7 @@ end
 --          readers.log returns: { plain_bus, stamps_differ }
 function M.open(file, options)
   local head = file:read(HEAD) or ""
-  if head:find("\0", 1, true) then return nil end
+  if head:find("^[^\n]*\0") then return nil end -- no text; a log that was cut off may have some
   local lines = whole_lines(head, #head < HEAD)
   local log = recognise(lines)
   if not log then return nil end

@@ -24,11 +24,17 @@ local is_said = {} -- by text
 -- texts  list
 function M.complain_once(texts)
   local new = {}
-  for _, text in ipairs(texts) do
-    if not is_said[text] then new[#new + 1] = "preferences: " .. text end
+  for _, problem in ipairs(texts) do
+    local text = "preferences: " .. problem
+    if not is_said[text] then new[#new + 1] = text end
     is_said[text] = true
   end
   M.complain(new)
+end
+
+--- Whether M.complain_once has shown a text.
+function M.has_said(text)
+  return is_said[text] or false
 end
 
 --- Give a protocol its preferences.

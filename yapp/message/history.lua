@@ -27,10 +27,12 @@ local LARGE_RETURN = 50 -- evidence of a return from a large fall; from a small 
 local FADE = 0.85 -- per message: evidence of 50 stays above ENOUGH for 22 messages
 local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
 
+-- A shared source looks like one that reboots, jumps and is silent until there is enough evidence:
+-- so many messages lie between these at most.
+local MAX_CALM = 22
+
 local NO_TYPE = { flag_fields = {} }
--- Changes that many messages have in common: to be read only.
-local SHARED = { shared = true, unreliable = true }
-local UNRELIABLE = { unreliable = true }
+local UNRELIABLE = { unreliable = true } -- of many messages: to be read only
 
 local History = {}
 History.__index = History
@@ -79,6 +81,9 @@ local function new_source(self, message)
     lead = 0, -- seconds that it gained on the capture's clock since its first fall
     falls = {}, -- { lead before it, size }, the latest first; none from which the clock returned
     evidence = 0,
+    count = 0, -- number of good messages
+    doubtful_count = -huge, -- the same at the latest one that a shared source may explain
+    doubtful_key = nil, -- frame key of the first of these, with less than MAX_CALM between them
     shared_key = huge, -- frame key of the message that proves that controllers share the source
     -- By the frame key of a message:
     changes = {}, -- [frame key] = change
@@ -254,6 +259,13 @@ end
 -- stat.kinds (its event) and a row of show.fields (its expert item).
 local DETECTORS = { detect_clock, detect_flags, detect_faults, detect_missing, detect_late }
 
+-- Note a message whose change a shared source may explain.
+local function note_doubt(source, key, change)
+  if not (change.reboot or change.jump or change.stale or change.late) then return end
+  if source.count - source.doubtful_count > MAX_CALM then source.doubtful_key = key end
+  source.doubtful_count = source.count
+end
+
 -- Return the change of a good message, nil for none.
 local function update(source, message, delta)
   local change = nil
@@ -265,7 +277,13 @@ local function update(source, message, delta)
     end
   end
   local key = message.key
-  if change and change.shared then source.shared_key, change = key, SHARED end
+  source.count = source.count + 1
+  if change and change.shared then
+    source.shared_key = key
+    change = { shared = source.doubtful_key or key, unreliable = true }
+  elseif change then
+    note_doubt(source, key, change)
+  end
   if change or source.changes[key] then source.changes[key] = change end
   return change
 end
@@ -284,7 +302,8 @@ end
 --   flags    list of { field, value, raised = mask, cleared = mask } of the fields whose flags
 --            changed
 --   faults   of these flags the faults that rise or fall, see message.faults
---   shared   true at the message that proves that several controllers share the source
+--   shared   at the message that proves that several controllers share the source: frame key of the
+--            message since when they explain its reboots, jumps, stale clocks and late messages
 --   unreliable  true at the messages behind that one, which get nothing else }
 --          and the seconds since the source's previous good message, false for the first
 function History:add(message, is_only_pass)

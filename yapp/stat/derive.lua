@@ -13,6 +13,7 @@
 --   lists_problems            whether it lists ending.problems itself
 --   wants_messages_only       whether it needs no events but good messages and those with a bad CRC
 
+local frame_key = require "yapp.base.frame_key"
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
@@ -22,6 +23,7 @@ local undecoded = require "yapp.stat.undecoded"
 local M = {}
 
 local new_event, span, NOTHING = kinds.event, kinds.span, kinds.NOTHING
+local MAX_HELD = 64 -- events of a source, more than there are until it shows that it is shared
 local MAX_GAP = 1.5 -- periods; a longer gap has room for another message
 local NO_SPANS = "how long faults, gaps and silences lasted is not known"
 local LEFT_OUT = "changes of faults, reboots and gaps are unreliable and left out"
@@ -42,6 +44,7 @@ local function new_state()
     counted = { frame = 0 }, -- the latest reliable message that counts
     counted_at = nil,
     counted_faults = NOTHING, -- the faults that were set then
+    held = nil, -- list of events that a `shared` may explain, see hold
     is_numbered = false, -- whether Seq No numbers its messages: it changed
     missing_by_period = 0, -- number of messages that fit into the gaps between its messages
   }
@@ -137,13 +140,35 @@ end
 
 -- Messages ----------------------------------------------------------------------------------------
 
+-- Emit an event, or hold it until it shows that no `shared` explains it.
+-- event  of the message that shows it
+-- cause  of the message to name
+local function emit_or_hold(self, state, event, kind, cause, values)
+  if not kinds.BY_NAME[kind].is_doubtful then return emit(self, kind, cause, values) end
+  local held = state.held or {}
+  state.held = held
+  held[#held + 1] = { kind = kind, frame = event.frame, cause = cause, values = values }
+  if #held <= MAX_HELD then return end
+  local oldest = table.remove(held, 1)
+  emit(self, oldest.kind, oldest.cause, oldest.values)
+end
+
+-- Emit the events that are held, but those that a `shared` explains.
+-- since  number of the first packet that it explains, nil for none
+local function end_held(self, state, since)
+  for _, one in ipairs(state.held or NOTHING) do
+    if one.frame < (since or math.huge) then emit(self, one.kind, one.cause, one.values) end
+  end
+  state.held = nil
+end
+
 -- Emit the events of a message that counts, but for its faults.
-local function note_events(self, event, change)
+local function note_events(self, state, event, change)
   for _, row in ipairs(kinds.LIST) do
     local key, value = row.change, change[row.name]
     if key and value then
       value = key == "length" and output.seconds(value) or value
-      emit(self, row.name, event, { [key] = value })
+      emit_or_hold(self, state, event, row.name, event, { [key] = value })
     end
   end
   for _, values in ipairs(event.values.invalid or NOTHING) do
@@ -165,6 +190,15 @@ local function missing_between(state, from, to)
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
 end
 
+-- Note what a message says of those before it: a silence, or that they were of two controllers.
+local function note_past(self, state, event, change)
+  if change.shared then end_held(self, state, frame_key.number(change.shared)) end
+  if change.late and state.is_counted then
+    local values = { length = output.seconds(change.late) }
+    emit_or_hold(self, state, event, "silence", state.last, values)
+  end
+end
+
 local function note_message(self, event, is_counted, capture_now)
   local state, values = self.by_source[event.source], event.values
   local change = values.change or NOTHING
@@ -172,12 +206,10 @@ local function note_message(self, event, is_counted, capture_now)
     local missing = missing_between(state, state.last_at, self.now)
     state.missing_by_period = state.missing_by_period + missing
   end
-  if change.late and state.is_counted then
-    emit(self, "silence", state.last, { length = output.seconds(change.late) })
-  end
+  if change ~= NOTHING then note_past(self, state, event, change) end
   state.last, state.last_at, state.is_counted = event, self.now, is_counted
   state.ahead = capture_now - self.now
-  if is_counted and values ~= NOTHING then note_events(self, event, change) end
+  if is_counted and values ~= NOTHING then note_events(self, state, event, change) end
   if change.faults then note_faults(self, state, event, change.faults) end
   if is_counted and not values.is_unreliable then
     state.is_numbered = state.is_numbered or event.seq ~= (state.counted.seq or event.seq)
@@ -321,6 +353,7 @@ end
 -- ending   see Queue:finish
 -- returns  the exit code, nil for 0; a text to say, or nil; and a list of texts to say
 function Deriver:finish(ending)
+  for _, state in ipairs(self.states) do end_held(self, state) end
   end_undissected(self, ending)
   end_silences(self, ending)
   end_faults(self)

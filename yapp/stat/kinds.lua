@@ -22,6 +22,7 @@ local M = {}
 -- about       key that the message type of a source must have; nil for any source with an ID
 -- needs_past  whether it can be judged only with a good message and a reliable history
 -- needs_values  the same with a message that was decoded
+-- is_doubtful whether a `shared` behind it may explain it, see stat.derive
 -- needs_time  whether it can be judged only if packets have time stamps
 M.LIST = {
   {
@@ -54,6 +55,7 @@ M.LIST = {
     "controller rebooted (its clock went back by {length} s)",
     change = "length",
     about = "time",
+    is_doubtful = true,
     needs_past = true,
     needs_values = true,
   },
@@ -62,6 +64,7 @@ M.LIST = {
     "controller clock did not advance",
     change = "stale",
     about = "time",
+    is_doubtful = true,
     needs_past = true,
     needs_values = true,
     needs_time = true,
@@ -72,6 +75,7 @@ M.LIST = {
     keys = "length",
     change = "length",
     about = "time",
+    is_doubtful = true,
     needs_past = true,
     needs_values = true,
     needs_time = true,
@@ -89,6 +93,7 @@ M.LIST = {
     "silent for {length} s",
     keys = "length",
     about = "every",
+    is_doubtful = true,
     needs_past = true,
     needs_time = true,
   },

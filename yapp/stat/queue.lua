@@ -21,12 +21,12 @@ local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by 
 -- time from one packet to the next.
 local WRAPS, MAX_REST = { 2 ^ 32 / 1e6, 86400 }, 10 -- seconds
 local MAX_APART = 0.2 -- seconds between the packets of recorders whose stamps alternate
-local MAX_FALLS = 4 -- of as many recorders, and one more, the stamps may alternate
+local MAX_RECORDERS = 5
 local NO_TIMES = "packets of this capture have no time stamps"
 -- As candump -H writes them for an adapter that has no clock.
 local EQUAL_TIMES = "all packets of this capture have the same time stamp"
 
-local floor = math.floor
+local abs, floor, huge, max = math.abs, math.floor, math.huge, math.max
 
 local Queue = {}
 Queue.__index = Queue
@@ -45,11 +45,13 @@ function Queue:reset()
   self.offered, self.number, self.visited = {}, nil, nil -- of the packet that is dissected
   self.waiting = {}
   self.last = nil -- time of the latest packet
+  self.now = 0 -- the same without the steps back of the capture's clock
+  self.sure = 0 -- the same of the latest message, if there are several recorders, see note_time
+  self.offsets = { 0 } -- seconds that recorders are behind, that of the latest packet first
+  self.guessed = 0 -- of these that of the latest packet of no message
   self.latest = 0 -- its number
   self.has_progress = false -- whether it differs from the packet's before
   self.packets = 0
-  self.fallen = 0 -- sum of the seconds that the capture's clock went back, see note_step
-  self.falls = {} -- these steps, but those from which it returned; the latest first
   self.clocks = {} -- by source, see time_of
   self:begins(0, 0, 0) -- until a time is known, if ever
   self.losses, self.max_losses = {}, MAX_LOSSES -- events that wait, see hand_on_losses
@@ -83,7 +85,11 @@ end
 local function time_of(self, event)
   local clock = self.clocks[event.source]
   if not clock then
-    clock = { fallen = self.fallen, latest = nil } -- seconds its stamps went back, its latest time
+    clock = {
+      fallen = self.offsets[1], -- seconds that its own stamps went back
+      latest = nil, -- its latest time
+      offset = self.offsets[1], -- seconds that its recorder is behind
+    }
     self.clocks[event.source] = clock
   end
   local now = event.time + clock.fallen
@@ -97,37 +103,62 @@ local function time_of(self, event)
   return now
 end
 
--- Note a step of the capture's clock.  If the stamps of several recorders alternate, it returns
--- from where it fell:
---   10.0, 3.8, 10.1, 3.9        falls by 6.2, returns, falls: 6.2 s in all, not 12.4
---   10.0, 3.8, 3.9 ... 9.9      fell by 6.2 for good
-local function note_step(self, step)
-  local falls, total = self.falls, 0
-  if step < -MAX_STEP then
-    local fall = fall_of(-step)
-    self.fallen = self.fallen + fall
-    table.insert(falls, 1, fall)
-    falls[MAX_FALLS + 1] = nil
-    return
+-- Return how far the recorder of a packet is behind, if its source does not tell: a known recorder,
+-- the one by whose clock the least time went by, or a new one, or one whose clock was set back.
+-- step  seconds since the packet before
+local function guess_offset(self, rel, step)
+  local offsets, found, least = self.offsets, nil, huge
+  for i, offset in ipairs(offsets) do
+    local distance = abs(rel + offset - self.now)
+    local limit = max(MAX_APART, abs(offset - offsets[1]) / 4)
+    if i == 1 then limit = step < -MAX_STEP and -1 or huge end
+    if distance <= limit and distance < least then found, least = offset, distance end
   end
-  for i = 1, step > MAX_STEP and #falls or 0 do
-    total = total + falls[i]
-    local excess = step - total
-    if excess >= -total / 4 and excess <= math.max(total / 4, MAX_APART) then
-      self.fallen = self.fallen - total
-      for _ = 1, i do table.remove(falls, 1) end
-      return
+  return found or offsets[1] + fall_of(-step)
+end
+
+-- Put the offset of a recorder first.
+local function note_offset(self, offset)
+  local offsets = self.offsets
+  for i, other in ipairs(offsets) do
+    if abs(offset - other) <= MAX_APART then
+      table.remove(offsets, i)
+      break
     end
   end
+  table.insert(offsets, 1, offset)
+  offsets[MAX_RECORDERS + 1] = nil
+end
+
+-- Note the time of a packet.  The stamps of several recorders may alternate: the clock of each is
+-- some seconds behind the time that went by:
+--   stamps     10.0  3.8   10.1  3.9   10.2    the second recorder is 6.2 s behind
+--   went by    10.0  10.0  10.1  10.1  10.2
+-- Each source has one recorder.  A packet of no source may be of any recorder, also of an unknown
+-- one: the next message shows by how much the guess was wrong.
+-- event  of the packet, nil for none
+local function note_time(self, rel, step, event)
+  local clock = event and self.clocks[event.source]
+  if not self.offsets[2] then self.sure = self.now end
+  if clock then clock.offset = clock.offset + fall_of(max(0, self.sure - rel - clock.offset)) end
+  local offset = clock and clock.offset or guess_offset(self, rel, step)
+  if event then
+    self.sure = max(self.sure, rel + offset)
+    local excess = self.now - self.sure
+    if excess > MAX_APART then note_offset(self, self.guessed - excess) end
+    self.now = self.sure
+  else
+    self.now, self.guessed = max(self.now, rel + offset), offset
+  end
+  note_offset(self, offset)
 end
 
 local function hand_on(self, event)
   local now = time_of(self, event)
   event.rel = now
   if event.source.id then self.has_messages = true end
-  local capture_now = event.time + self.fallen
   for _, deriver in ipairs(self.derivers) do
-    deriver:take(event, now, capture_now)
+    deriver:take(event, now, self.now)
   end
 end
 
@@ -148,7 +179,7 @@ local function hand_on_losses(self, is_end)
       hand_on(self, event)
     end
   end
-  self.max_losses = math.max(MAX_LOSSES, 2 * #self.losses)
+  self.max_losses = max(MAX_LOSSES, 2 * #self.losses)
 end
 
 local function take(self, event)
@@ -220,25 +251,41 @@ function Queue:go_direct()
   return true
 end
 
+-- Note a packet whose time goes back, or one of several recorders.
+local function note_step(self, number, rel, step, event)
+  note_time(self, rel, step, event)
+  if step >= -MAX_STEP then return end
+  local values = { length = output.seconds(step), back = output.seconds(-step) }
+  local clock = kinds.event("clock", number, rel, {}, values)
+  clock.rel = self.now
+  for _, deriver in ipairs(self.derivers) do deriver:add(clock) end
+end
+
 --- Say that a packet of any kind has been dissected.
 -- number, rel  of the packet; rel = seconds since the first one.  With tshark -2 -R the number of a
 --              packet that the first pass rejected is another's in the second, with another time
 -- lacks_clock  whether rel is the time of a controller: to go back is no event then
 function Queue:packet(number, rel, lacks_clock)
   flush(self)
-  local step = self.last and kinds.span(self.last, rel) or 0
+  local last = self.last or rel
   self.last, self.latest, self.packets = rel, number, self.packets + 1
-  self.has_progress = self.has_progress or step ~= 0
-  if not lacks_clock then note_step(self, step) end
-  if step < -MAX_STEP and not lacks_clock then
-    local values = { length = output.seconds(step), back = output.seconds(-step) }
-    local event = kinds.event("clock", number, rel, {}, values)
-    event.rel = rel + self.fallen
-    for _, deriver in ipairs(self.derivers) do deriver:add(event) end
+  if rel ~= last then self.has_progress = true end
+  local event = number == self.number and self.offered[#self.offered]
+  if event and event.time ~= rel then event = nil end
+  if lacks_clock or rel >= last and not self.offsets[2] then
+    self.now = rel + self.offsets[1]
+  else
+    note_step(self, number, rel, kinds.span(last, rel), event)
   end
-  if number == self.number and self.offered[#self.offered].time == rel then
-    self.waiting, self.number = self.offered, nil
-  end
+  if event then self.waiting, self.number = self.offered, nil end
+end
+
+local function ignore() end
+
+--- Take no more packets: those that come are of another file.
+function Queue:stop()
+  flush(self)
+  self.offer, self.add_undissected, self.packet = ignore, ignore, ignore
 end
 
 -- The end -----------------------------------------------------------------------------------------
@@ -294,13 +341,13 @@ end
 function Queue:finish(capture)
   flush(self)
   hand_on_losses(self, true)
-  for _, event in ipairs(capture.unfinished) do
+  for _, event in ipairs(capture.unread and {} or capture.unfinished) do
     hand_on(self, event)
   end
   local seconds, nanoseconds = self:clock(0)
   local ending = {
     rel = self.last, -- of the last packet of any kind, nil where there was none
-    now = self.last and self.last + self.fallen,
+    now = self.last and self.now,
     begin = seconds + nanoseconds / 1e9, -- of the first packet
     reason = nothing_found(self, capture), -- why no message was found, nil if one was
     lacks_times = lacks_times(self, capture),

@@ -7,6 +7,7 @@ local joined = require "yapp.base.joined"
 local menu = require "yapp.stat.menu"
 local options_of = require "yapp.stat.options"
 local output = require "yapp.stat.output"
+local preferences = require "yapp.host.preferences"
 local queue = require "yapp.stat.queue"
 
 local M = {}
@@ -263,8 +264,8 @@ local function conclude(self)
     texts[#texts + 1] = "standard output: " .. problem
     if code == output.EXIT_OK then code = output.EXIT_UNDECIDED end
   end
-  for _, text in ipairs(texts) do
-    say(text)
+  for line in table.concat(texts, "\n"):gmatch("[^\n]+") do
+    if not preferences.has_said((line:gsub("^check: ", ""))) then say(line) end
   end
   -- Other -z statistics of this run lose the rest of their output: the exit code matters more.
   if code ~= output.EXIT_OK then os.exit(code) end
@@ -294,9 +295,11 @@ local function count_packets(self, note_packets)
   tap.draw = note_packets
 end
 
---- Forget the capture file.
+--- Forget the capture file.  A live capture with -b may go on in another one, of which tshark
+-- analyses no more than a few packets.
 function Stat:reset()
   self.total = 0
+  if IS_TSHARK and self.queue and self.queue.packets > 0 then self.queue:stop() end
 end
 
 --- Register the menus of Wireshark.
