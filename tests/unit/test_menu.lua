@@ -169,6 +169,28 @@ function T.test_a_window_says_how_old_it_is()
   lu.assertEquals(window.text, "yapp,events, run 2")
 end
 
+-- A reading takes seconds: until there is an answer, the window says how far it is.  It may be closed meanwhile.
+function T.test_a_window_says_that_it_reads()
+  local show, stat = menu()
+  local said = {}
+  function stat.run(_, _, note_progress)
+    local window = last(seen.windows)
+    said[#said + 1] = window.text
+    note_progress(7)
+    said[#said + 1] = window.text
+    if seen.is_closing then window.close() end
+    note_progress(9)
+    return "the answer", {}
+  end
+  show("yapp,events")
+  lu.assertEquals(said, { "Reading: 0 of 10 packets\n", "Reading: 7 of 10 packets\n" })
+  local window = last(seen.windows)
+  lu.assertEquals(window.text, "the answer")
+  seen.is_closing = true
+  window.buttons.Refresh()
+  lu.assertEquals(window.text, "Reading: 7 of 10 packets\n", "nothing is written to a closed window")
+end
+
 function T.test_show_frames()
   local show, stat = menu()
   show("yapp,events")

@@ -778,20 +778,41 @@ function T.test_compare_marks_what_is_far_from_the_others()
   local records = {}
   for i, name in ipairs { "M10", "M2", "M1", "M3" } do
     local source = { key = name, bus_key = 1, bus = "can0", id = 0x20F + i, name = name, message = MOTOR }
-    records[i] = record(i, i / 10, { source = source, payload = payload(100) })
-    records[i + 4] = record(i + 4, 1 + i / 10, { source = source, payload = payload(name == "M2" and 150 or 101) })
+    records[i] = record(i, i / 100, { source = source, payload = payload(100) })
+    records[i + 4] = record(i + 4, 1 + i / 100, { source = source, payload = payload(name == "M2" and 150 or 101) })
   end
   lu.assertEquals(run({ "compare" }, records), [[
 YAPP compare: 4 sources of Motor Data
 
 field  unit  source  min   mean  max  far from the others  spread  since start/s  frame
-volts  V     M1      100  100.5  101                           49       1.200000      6
+volts  V     M1      100  100.5  101                           49       1.020000      6
              M2      100    125  150  ▲ mean ▲ max
              M3      100  100.5  101
              M10     100  100.5  101
 ]])
   local shown = run({ "compare" }, records, { frames = {} })
   lu.assertStrContains(shown, "volts  V     M1      100  101           49\n             M2      100  150  ▲\n")
+end
+
+-- What a source did before it fell silent is no measure for the others, and is not far from them because it is a part.
+function T.test_compare_says_who_fell_silent()
+  local records = {}
+  for i, name in ipairs { "M1", "M2", "M3", "M4", "M5" } do
+    local source = { key = name, bus_key = 1, bus = "can0", id = 0x20F + i, name = name, message = MOTOR }
+    local ends = name == "M4" and 1 or name == "M5" and 2 or 9
+    for second = 0, 9 do
+      local volts = name == "M5" and second == 2 and 190 or 100 + second
+      if second <= ends then
+        records[#records + 1] = record(10 * second + i, second + i / 100, { source = source, payload = payload(volts) })
+      end
+    end
+  end
+  table.sort(records, function(a, b) return a.frame < b.frame end)
+  local shown = run({ "compare" }, records)
+  lu.assertStrContains(shown, "M3      100    104.5  109\n")
+  lu.assertStrContains(shown, "M4      100    100.5  101  silent\n")
+  lu.assertStrContains(shown, "M5      100  130.333  190  ▲ max silent\n")
+  lu.assertStrContains(run({ "compare" }, records, { frames = {} }), "M5      100  190  ▲ silent\n")
 end
 
 -- How long a source is silent at the end.

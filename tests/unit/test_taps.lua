@@ -277,6 +277,18 @@ function T.test_packets_are_counted()
   lu.assertEquals(seen.shown, "yapp,events")
 end
 
+-- As long as a window waits.
+function T.test_a_window_is_told_how_far_the_reading_is()
+  local stat, numbers = new_stat(true), {}
+  stat:register_menus()
+  local function note(number) numbers[#numbers + 1] = number end
+  wireshark.packets = 25000
+  stat:run("yapp,faults", note)
+  lu.assertEquals(numbers, { 10000, 20000 })
+  read_packets()
+  lu.assertEquals(#numbers, 2)
+end
+
 -- tshark --------------------------------------------------------------------------------------------------------------
 
 -- Return the exit code of a run with these arguments, nil if it goes on.

@@ -10,6 +10,7 @@ local M = {}
 
 local MAX_FRAMES = 1000 -- in a display filter: more make Wireshark slow
 
+local READING = "Reading: %d of %d packets\n"
 local OLD = "Packets have come since this was read at %s: press Refresh\n\n"
 
 local HELP = [[
@@ -82,25 +83,36 @@ end
 local notes_of_age = {}
 
 -- A window with a text that can be made anew, copied and saved, and whose frames can be shown.
--- make  function() -> the text, the frames
+-- make  function(note_progress) -> the text, the frames; see Stat:run
 -- stat  of stat.taps
 local function open_window(title, make, stat)
   local window, content, frames = TextWindow.new("YAPP " .. title), nil, nil
   local total, time = 0, "" -- of the reading
   local is_old = true -- whether nothing is to be said: it was said, or the reading goes on
+  local is_closed = false -- a closed window takes no text; the reading may go on without it
+  local function set(text)
+    if not is_closed then window:set(text) end
+  end
+  local function note_progress(number)
+    set(READING:format(number, stat.total))
+  end
   local function refresh()
     is_old = true
-    content, frames = make()
+    note_progress(0)
+    content, frames = make(note_progress)
     total, time, is_old = stat.total, os.date("%H:%M:%S"), false
-    window:set(content)
+    set(content)
   end
   -- Say once that the text is old: a new text makes a window scroll to its beginning.
   notes_of_age[window] = function()
     if is_old or stat.total <= total then return end
     is_old = true
-    window:set(OLD:format(time) .. content)
+    set(OLD:format(time) .. content)
   end
-  window:set_atclose(function() notes_of_age[window] = nil end)
+  window:set_atclose(function()
+    is_closed = true
+    notes_of_age[window] = nil
+  end)
   window:add_button("Refresh", refresh)
   window:add_button("Copy", function() copy_to_clipboard(content) end)
   window:add_button("Save", function()
@@ -140,7 +152,9 @@ function M.register(stat)
   -- count too.
   local function show(argument)
     local row = options_of.BY_NAME[argument:match("^yapp,(%w+)")]
-    open_window(row and row.title or "", function() return stat:run(argument) end, stat)
+    open_window(row and row.title or "", function(note_progress)
+      return stat:run(argument, note_progress)
+    end, stat)
   end
 
   for _, row in ipairs(options_of.LIST) do

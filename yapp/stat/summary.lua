@@ -6,6 +6,7 @@
 -- incomplete ones are counted separately.
 
 local groups = require "yapp.stat.groups"
+local kinds = require "yapp.stat.kinds"
 local output = require "yapp.stat.output"
 
 local M = {}
@@ -152,38 +153,48 @@ local function median(sorted)
   return (sorted[math.floor(half + 0.5)] + sorted[math.floor(half + 1)]) / 2
 end
 
--- Return "▲" or "▼" if one of several numbers is far above or below the others, else nil.
-local function far_mark(numbers, index, unit)
-  local others, distances = {}, {}
-  for i, number in ipairs(numbers) do
-    if i ~= index then others[#others + 1] = number end
-  end
+-- Return "▲" or "▼" if a number is far above or below several others, else nil.
+local function far_mark(number, others, unit)
   if #others < 2 then return nil end
-  local middle = median(others)
+  local middle, distances = median(others), {}
   for i, other in ipairs(others) do distances[i] = math.abs(other - middle) end
   local least = LEAST[unit or ""] or 0.001
   local usual = math.max(1.5 * median(distances), USUAL * math.abs(middle), least)
-  local away = numbers[index] - middle
+  local away = number - middle
   return math.abs(away) >= FAR * usual and (away > 0 and "▲" or "▼") or nil
 end
 
+-- A source that fell silent has values of a part of the flight alone: the others are not measured
+-- by them, and only these of its own marks have a meaning.
+local OF_SILENT = { min = "▼", max = "▲" }
+
+local function add_words(row, text, short)
+  local far = row.far or { text = "", short = "" }
+  far.text = far.text .. (far.text ~= "" and " " or "") .. text
+  if far.short:sub(-#short) ~= short then
+    far.short = far.short .. (#far.short > 0 and #short > 3 and " " or "") .. short
+  end
+  row.far = far
+end
+
 -- Say of the rows of a field which values are far from the others: "▲ mean ▲ max"; in a
--- window, which has no mean, the arrows alone.
-local function mark_far(rows)
+-- window, which has no mean, the arrows alone; and who fell silent.
+-- list  of the groups, in the order of the rows
+local function mark_far(rows, list)
   for _, key in ipairs(RANGE) do
-    local numbers, of = {}, {}
-    for _, row in ipairs(rows) do
-      if row[key] then numbers[#numbers + 1], of[#of + 1] = row[key], row end
-    end
-    for i, row in ipairs(of) do
-      local mark = far_mark(numbers, i, rows[1].unit)
-      if mark then
-        local far = row.far or { text = "", short = "" }
-        far.text = far.text .. (far.text ~= "" and " " or "") .. mark .. " " .. key
-        if far.short:sub(-#mark) ~= mark then far.short = far.short .. mark end
-        row.far = far
+    for i, row in ipairs(rows) do
+      local others = {}
+      for j, other in ipairs(rows) do
+        if i ~= j and not list[j].is_silent then others[#others + 1] = other[key] end
+      end
+      local mark = row[key] and far_mark(row[key], others, rows[1].unit)
+      if mark and (not list[i].is_silent or OF_SILENT[key] == mark) then
+        add_words(row, mark .. " " .. key, mark)
       end
     end
+  end
+  for i, row in ipairs(rows) do
+    if list[i].is_silent and row.min then add_words(row, "silent", "silent") end
   end
 end
 
@@ -196,7 +207,7 @@ local function add_rows(self, list, index, rows)
     sources[i], all[i] = output.object(OF_SOURCE, row), row
     if i == 1 or not self.context.json then rows[#rows + 1] = row end
   end
-  mark_far(all)
+  mark_far(all, list)
   for i = 2, #all do all[i].field, all[i].unit = nil, nil end
   local row, rel = rows[first], spread.rel
   row.spread, row.frame, row.rel = spread.worst, spread.frame, output.seconds(rel)
@@ -228,10 +239,21 @@ local function compared(self)
   return lists
 end
 
+-- Note which groups of a message fell silent while another one went on.
+local function note_silences(self, list)
+  local every, last = list[1].message.every, 0
+  for _, group in ipairs(list) do last = math.max(last, group.last or 0) end
+  for _, group in ipairs(list) do
+    local length = every and group.last and kinds.span(group.last, last) or 0
+    group.is_silent = length > 0 and length > self.context.settings.late * every
+  end
+end
+
 --- End: print a table for each message.
 function Compare:finish(_, notes)
   local context, lists = self.context, compared(self)
   for i, list in ipairs(lists) do
+    note_silences(self, list)
     local rows = {}
     for index in ipairs(list[1].values) do add_rows(self, list, index, rows) end
     local title = ("YAPP compare: %d sources of %s"):format(#list, list[1].message.title)

@@ -14,6 +14,7 @@ local M = {}
 
 -- While this is asked for, trees have the exact time, and the fields of CAN headers.
 local CLOCK = "frame.time_epoch || can.id || can.flags.xtd == 1 || can.flags.rtr == 1"
+local STEP = 10000 -- packets from one note of progress to the next
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
 local FAILED = "the plugin failed, so the answer is incomplete: %s, see the filter _ws.lua.error"
 local UNREAD = "only %d of %d packets were read, as the reading was stopped, or another window " ..
@@ -46,6 +47,7 @@ Stat.__index = Stat
 --   calls      { begun, ended = numbers }: of these calls since the capture was opened }
 function M.new(parts)
   parts.show = nil -- in Wireshark: function(text), which opens the window of an argument of -z
+  parts.note_progress = nil -- while a window of Wireshark waits for an answer
   parts.total = 0 -- in Wireshark: number of packets in the capture, see count_packets
   return setmetatable(parts, Stat)
 end
@@ -229,10 +231,11 @@ end
 
 --- Run a statistic over all packets, in Wireshark.
 -- text     as behind -z
+-- note_progress  function(number of packets read), called from time to time, or nil
 -- returns  its output and the problems, as one text; a list of the frames in it
-function Stat:run(text)
+function Stat:run(text, note_progress)
   if self.is_reading then return BUSY, {} end
-  self.is_reading = true
+  self.is_reading, self.note_progress = true, note_progress
   local said, frames = {}, {}
   local function out(chunk) said[#said + 1] = chunk end
   open(self)
@@ -243,7 +246,7 @@ function Stat:run(text)
   end)
   close(self)
   self.unwatch()
-  self.is_reading = false
+  self.is_reading, self.note_progress = false, nil
   local answer = table.concat(said)
   for _, problem in ipairs(ok and texts or { tostring(texts) }) do
     if not answer:find(problem, 1, true) then out(problem .. "\n") end
@@ -284,13 +287,15 @@ local function read_argument(self, text)
   end })
 end
 
--- Count the packets of a capture in Wireshark, where the user may stop a statistic's reading.
+-- Count the packets of a capture in Wireshark, where the user may stop a statistic's reading, and
+-- tell its window how far that is.
 -- note_packets  function(), to be called when some have come
 local function count_packets(self, note_packets)
   local tap = Listener.new("frame")
   function tap.packet(pinfo)
     local number = pinfo.number
     if number > self.total then self.total = number end
+    if self.note_progress and number % STEP == 0 then self.note_progress(number) end
   end
   tap.draw = note_packets
 end
