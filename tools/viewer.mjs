@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // node tools/viewer.mjs: makes dist/viewer (for a web server) and dist/viewer-offline (opens by a double click).
 import { execFileSync } from "node:child_process";
-import { cpSync, mkdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { createHash } from "node:crypto";
+import { mkdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 
@@ -42,29 +43,43 @@ function plugin() {
 // What a script of the offline form holds of a file; see client.js.
 export const asScript = (name, bytes) => `asset(${JSON.stringify(name)}, "${Buffer.from(bytes).toString("base64")}");\n`;
 
+const hash = (bytes) => createHash("sha256").update(bytes).digest("base64");
+
+// The service worker of a page; files: { name: bytes }.
+export const offline = (files) => `const FILES = ${JSON.stringify(
+  Object.fromEntries(Object.entries(files).map(([name, bytes]) => [name, `sha256-${hash(bytes)}`])))};\n${read(WEB, "offline.js")}`;
+
+// The page for a form.  A browser must not take a script or a style of another version for this one's.
+function index(form, files) {
+  return read(WEB, "index.html").replace("<html ", `<html data-form="${form}" `)
+    .replace(/"(style\.css|page\.js)"/g, (_, name) => `"${name}?${encodeURIComponent(hash(files[name]).slice(0, 8))}"`);
+}
+
 async function build() {
   const { build: bundle } = await import(join(WEB, "node_modules/esbuild/lib/main.js"));
-  const scripts = (await bundle({ entryPoints: ["page.js", "worker.js"].map((name) => join(WEB, name)), bundle: true, write: false,
+  const outputs = (await bundle({ entryPoints: ["page.js", "worker.js"].map((name) => join(WEB, name)), bundle: true, write: false,
     minify: true, legalComments: "inline", format: "iife", target: "es2022", outdir: "out", logLevel: "warning",
     external: ["fs", "path", "crypto", "ws", "child_process", "perf_hooks", "url", "os", "util", "worker_threads"] })).outputFiles;
-  const own = (name) => scripts.find(({ path }) => path.endsWith(name)).contents;
+  const own = (name) => outputs.find(({ path }) => path.endsWith(name)).contents;
   const gzip = (name) => readFileSync(join(WIREGASM, "dist", `${name}.gz`));
-  const assets = { "worker.js": own("worker.js"), "plugin.json": plugin(), "wiregasm.wasm.gz": gzip("wiregasm.wasm"),
-    "wiregasm.data.gz": gzip("wiregasm.data"), "flight.pcapng": readFileSync(join(TOP, "docs/flight.pcapng")) };
-  for (const form of ["viewer", "viewer-offline"]) {
-    const folder = join(TOP, "dist", form);
-    rmSync(folder, { recursive: true, force: true });
-    mkdirSync(folder, { recursive: true });
-    for (const name of ["index.html", "style.css", "SOURCE.txt"]) cpSync(join(WEB, name), join(folder, name));
-    cpSync(join(WEB, "node_modules/@tanstack/virtual-core/LICENSE"), join(folder, "LICENSE-virtual-core.txt"));
-    cpSync(join(TOP, "LICENSE"), join(folder, "LICENSE.txt"));
-    writeFileSync(join(folder, "page.js"), own("page.js"));
-    for (const [name, bytes] of Object.entries(assets)) {
-      if (form === "viewer") writeFileSync(join(folder, name), bytes);
-      else writeFileSync(join(folder, `${name}.js`), asScript(name, bytes));
-    }
-    console.log(`dist/${form}`);
-  }
+  const files = { "page.js": own("page.js"), "LICENSE.txt": read(TOP, "LICENSE"),
+    "LICENSE-virtual-core.txt": read(WEB, "node_modules/@tanstack/virtual-core/LICENSE") };
+  for (const name of ["style.css", "SOURCE.txt"]) files[name] = read(WEB, name);
+  // Not .gz: some servers say of such a file that it is the packed form of another, and browsers unpack it.
+  const assets = { "worker.js": own("worker.js"), "plugin.json": plugin(), "wiregasm.wasm.gzip": gzip("wiregasm.wasm"),
+    "wiregasm.data.gzip": gzip("wiregasm.data"), "flight.pcapng": readFileSync(join(TOP, "docs/flight.pcapng")) };
+  const scripts = Object.fromEntries(Object.entries(assets).map(([name, bytes]) => [`${name}.js`, asScript(name, bytes)]));
+  const hosted = { ...files, ...assets, "index.html": index("hosted", files) };
+  write("viewer", { ...hosted, "offline.js": offline(hosted) });
+  write("viewer-offline", { ...files, ...scripts, "index.html": index("offline", files) });
+}
+
+function write(form, files) {
+  const folder = join(TOP, "dist", form);
+  rmSync(folder, { recursive: true, force: true });
+  mkdirSync(folder, { recursive: true });
+  for (const [name, bytes] of Object.entries(files)) writeFileSync(join(folder, name), bytes);
+  console.log(`dist/${form}`);
 }
 
 if (process.argv[1] === fileURLToPath(import.meta.url)) await build();

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The page's side of the worker, and the files that belong to the page.
 
-// Of a page that was opened from a disk, a file NAME is a script NAME.js that calls asset(NAME, base64): such a
-// page may not read files.
-const isOnDisk = location.protocol === "file:";
+// In the offline form a file NAME is a script NAME.js that calls asset(NAME, base64): a page on a disk may not read files.
+const isOffline = document.documentElement.dataset.form === "offline";
 const arrived = new Map();
 window.asset = (name, base64) => arrived.set(name, base64);
 
@@ -32,8 +31,10 @@ export async function getFile(name) {
   const url = new URL(name, location.href);
   const folder = new URL(".", location.href).href.split(/[?#]/)[0];
   if (!url.href.startsWith(folder)) throw new Error(`${name} is not in the folder of this page`);
-  if (isOnDisk) return script(url.href.slice(folder.length));
-  const response = await fetch(url).catch((error) => { throw new Error(`${name}: ${error.message}`); });
+  if (isOffline) return script(url.href.slice(folder.length));
+  const response = await fetch(url, { cache: "no-cache" }).catch((error) => {
+    throw new Error(`${name}: ${error.message}. ${location.protocol === "file:" ? "From a disk opens viewer-offline" : "Is there a network?"}`);
+  });
   if (!response.ok) throw new Error(`${name}: ${response.status} ${response.statusText}`);
   return response.blob();
 }
@@ -51,7 +52,7 @@ export class Client {
   // Load what every start of the worker needs.
   async load() {
     const [wasm, data, worker, plugin] = await Promise.all([
-      getFile("wiregasm.wasm.gz"), getFile("wiregasm.data.gz"), getFile("worker.js"), getFile("plugin.json")]);
+      getFile("wiregasm.wasm.gzip"), getFile("wiregasm.data.gzip"), getFile("worker.js"), getFile("plugin.json")]);
     const type = { headers: { "Content-Type": "application/wasm" } };
     this.module = await WebAssembly.compileStreaming(new Response(unpacked(wasm), type));
     this.data = await new Response(unpacked(data)).arrayBuffer();

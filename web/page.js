@@ -244,6 +244,18 @@ async function begin() {
     $("statistics").append(make("button", { onclick }, name[0].toUpperCase() + name.slice(1)));
   }
   document.body.dataset.ready = Math.round(performance.now());
+  await keepOffline();
+}
+
+// Keep the page for a time without a network, where a browser can (https, or this computer).
+async function keepOffline() {
+  if (document.documentElement.dataset.form === "offline") return;
+  const worker = await navigator.serviceWorker?.register("offline.js").catch(() => null); // then the page needs its server
+  function tell() {
+    if (worker?.active && worker.waiting) notice("There is a newer version of this page: close it in all tabs, and open it again.");
+  }
+  worker?.addEventListener("updatefound", () => worker.installing.addEventListener("statechange", tell));
+  tell();
 }
 
 begin().catch((error) => { $("loading").textContent = `The page could not start: ${error.message}`; });

@@ -10,30 +10,58 @@ import { basename, extname, join } from "node:path";
 import { after, before, test } from "node:test";
 import { pathToFileURL } from "node:url";
 import { chromium } from "../../web/node_modules/playwright-core/index.mjs";
-import { TOP } from "../../tools/viewer.mjs";
+import { offline, TOP } from "../../tools/viewer.mjs";
 
 const TYPES = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css" };
 const DISK = pathToFileURL(join(TOP, "dist/viewer-offline/index.html")).href;
 const scratch = mkdtempSync(join(tmpdir(), "viewer-"));
-let browser, server, http;
+const servers = [], browsers = [];
+let browser, http;
 
-before(async () => {
-  server = createServer((request, response) => {
-    const path = join(TOP, "dist/viewer", new URL(request.url, "http://x").pathname.replace(/\/$/, "/index.html"));
+// A server of a folder, which may also be a browser's proxy.  asked: "METHOD URL, N bytes" of each request.
+// changed: { name: content }, other files than those in the folder.
+async function serve(folder, changed = {}) {
+  const asked = [];
+  const own = createServer((request, response) => {
+    const { "content-length": sent = 0, "transfer-encoding": coding = "" } = request.headers;
+    asked.push(`${request.method} ${request.url}, ${coding || sent} bytes`);
+    const path = new URL(request.url, "http://x").pathname.slice(1) || "index.html";
     try {
-      response.writeHead(200, { "Content-Type": TYPES[extname(path)] ?? "application/octet-stream" }).end(readFileSync(path));
+      const content = changed[path] ?? readFileSync(join(folder, path));
+      response.writeHead(200, { "Content-Type": TYPES[extname(path)] ?? "application/octet-stream" }).end(content);
     } catch { response.writeHead(404).end(); }
   });
-  await new Promise((ready) => server.listen(0, "127.0.0.1", ready));
-  http = `http://127.0.0.1:${server.address().port}/`;
-  browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ["--no-sandbox"] });
+  own.on("connect", ({ url }, socket) => { asked.push(`CONNECT ${url}`); socket.destroy(); });
+  await new Promise((ready) => own.listen(0, "127.0.0.1", ready));
+  servers.push({ server: own });
+  return { server: own, url: `http://127.0.0.1:${own.address().port}/`, changed, asked };
+}
+
+// Stop servers that serve made.
+function stop(...all) {
+  for (const { server } of all) {
+    server.close();
+    server.closeAllConnections();
+  }
+}
+
+async function launch(...args) {
+  const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium";
+  browsers.push(await chromium.launch({ executablePath, args: ["--no-sandbox", ...args] }));
+  return browsers.at(-1);
+}
+
+before(async () => {
+  http = (await serve(join(TOP, "dist/viewer"))).url;
+  browser = await launch();
 });
 
-after(async () => { await browser?.close(); server?.close(); });
+after(async () => { await Promise.all(browsers.map((one) => one.close())); stop(...servers); });
 
 // A page at a link, when it is ready; page.asked has the hosts that it asked for something.
-async function visit(url, size = { width: 1300, height: 900 }) {
-  const page = await browser.newPage({ viewport: size });
+// context: of a browser, whose cookies and caches the page has; without it the page has none
+async function visit(url, size = { width: 1300, height: 900 }, context = null) {
+  const page = await (context ?? browser).newPage(context ? {} : { viewport: size });
   page.asked = new Set();
   page.wrong = [];
   page.on("request", (request) => page.asked.add(new URL(request.url()).origin));
@@ -136,6 +164,29 @@ test("page and worker can reach nobody", async () => {
   await page.close();
 });
 
+test("a proxy sees the page's own files asked for, and nothing sent", async () => {
+  const proxy = await serve(join(TOP, "dist/viewer"));
+  const watched = await launch(`--proxy-server=${new URL(proxy.url).host}`, "--proxy-bypass-list=<-loopback>");
+  const page = await visit("http://localhost:8080/", null, await watched.newContext());
+  await page.evaluate(async () => { await navigator.serviceWorker.ready; });
+  await page.setInputFiles("#file", join(TOP, "docs/flight.pcapng"));
+  await status(page, "1,483 of 1,483");
+  await filter(page, "taurus.motor");
+  for (const name of ["Faults", "Events", "Summary", "Compare", "Check"]) {
+    await page.click(`#statistics button:has-text("${name}")`);
+    await page.waitForSelector(`#answer h2:has-text("${name.toLowerCase()}: "):not(:has-text("..."))`);
+  }
+  await page.click("#next");
+  await page.waitForSelector(".row.chosen");
+  await watched.close(); // what it had in mind to send is sent
+  const names = readdirSync(join(TOP, "dist/viewer")), allowed = ["", ...names].map((name) => `GET http://localhost:8080/${name}, 0 bytes`);
+  // Chromium itself asks its maker for updates, and how to fill in the fields of any page.
+  const isOfChromium = (one) => /^[A-Z]+ (http:\/\/)?[\w.-]+\.google(apis)?\.com[:/]/.test(one);
+  const asked = proxy.asked.filter((one) => !isOfChromium(one)).map((one) => one.replace(/\?[^,]*/, ""));
+  assert.ok(asked.includes("GET http://localhost:8080/wiregasm.wasm.gzip, 0 bytes"), "the proxy is used");
+  assert.deepEqual(asked.filter((one) => !allowed.includes(one)), []);
+});
+
 test("preferences start Wireshark anew; Cancel leaves a page that works", async () => {
   const page = await visit(`${http}#file=flight.pcapng`);
   await page.click("#preferences");
@@ -150,6 +201,52 @@ test("preferences start Wireshark anew; Cancel leaves a page that works", async 
   await page.waitForSelector('.row:has-text("right")');
   assert.deepEqual(page.wrong, []);
   await page.close();
+});
+
+test("without a network the page opens captures; versions are not mixed", async () => {
+  const own = await serve(join(TOP, "dist/viewer")), context = await browser.newContext();
+  const folder = join(TOP, "dist/viewer"), files = Object.fromEntries(readdirSync(folder).map((name) => [name, readFileSync(join(folder, name))]));
+  delete files["offline.js"];
+  const next = { ...files, "page.js": `${files["page.js"]}\ndocument.body.dataset.version = "next";`, "plugin.json": files["plugin.json"].toString().replace(/"version":"/, '"version":"next ') };
+  const update = (page) => page.evaluate(async () => {
+    const worker = await navigator.serviceWorker.ready;
+    await worker.update();
+    const { installing } = worker;
+    while (installing && !/installed|redundant/.test(installing.state)) await new Promise((done) => { setTimeout(done, 50); });
+    return installing?.state;
+  });
+  const versions = async (page) => [await page.evaluate(() => document.body.dataset.version ?? "first"),
+    /YAPP next/.test(await page.textContent("#status")) ? "next" : "first"];
+
+  let page = await visit(own.url, null, context);
+  await page.evaluate(async () => { while ((await navigator.serviceWorker.ready).active.state !== "activated") await new Promise((done) => { setTimeout(done, 50); }); });
+  assert.equal(await page.textContent("#notices"), "");
+
+  // A server on which half of a new version has arrived.
+  Object.assign(own.changed, { "page.js": next["page.js"], "offline.js": offline(next) });
+  assert.equal(await update(page), "redundant");
+  await page.reload();
+  await page.waitForSelector("body[data-ready]");
+  assert.deepEqual(await versions(page), ["first", "first"]);
+
+  // All of it has arrived: the page says so, and has it when it is opened again.
+  Object.assign(own.changed, next);
+  assert.equal(await update(page), "installed");
+  await page.waitForSelector('#notices:has-text("newer version")');
+  await page.reload();
+  await page.waitForSelector("body[data-ready]");
+  assert.deepEqual(await versions(page), ["first", "first"]);
+  stop(own);
+  await page.close();
+  page = await visit(own.url, null, context);
+  assert.deepEqual(await versions(page), ["next", "next"]);
+
+  await page.reload();
+  await page.waitForSelector("body[data-ready]");
+  await page.setInputFiles("#file", join(TOP, "docs/flight.pcapng"));
+  await status(page, "1,483 of 1,483");
+  assert.equal((await page.evaluate(() => caches.keys())).length, 1, "the first version is gone");
+  await context.close();
 });
 
 test("400 pixels are wide enough", async () => {
