@@ -83,7 +83,8 @@ def lua(*arguments, folder=ROOT):
 
 def loaded_modules(loads):
     """The modules of the plugin that a unit test loads."""
-    return [path.relative_to(ROOT) for path in sorted(ROOT.glob("yapp/**/*.lua")) if any(path.relative_to(ROOT) in one for one in loads.values())]
+    paths = [path.relative_to(ROOT) for path in [ROOT / "yapp.lua", *sorted(ROOT.glob("yapp/**/*.lua"))]]
+    return [path for path in paths if any(path in one for one in loads.values())]
 
 
 def other_modules(loads):
@@ -99,6 +100,7 @@ def loaded_by(test):
             f"dofile('{test}') for name in pairs(package.loaded) do print(name) end")
     names = lua("-e", code).stdout.split()
     names += re.findall(r'require\(?"(yapp[\w.]+)"', (ROOT / test).read_text())  # also what a test loads as it runs
+    names += ["yapp"] * ('dofile("yapp.lua")' in (ROOT / test).read_text())
     return {pathlib.Path(name.replace(".", "/") + ".lua") for name in names}
 
 

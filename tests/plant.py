@@ -14,7 +14,7 @@ rows of its kind before, then the suites of its kind, until one turns red.  What
 reason, or is a failure.
 """
 import argparse
-import concurrent.futures
+import multiprocessing.pool
 import os
 import pathlib
 import random
@@ -133,10 +133,10 @@ def main():
         first, last = (len(some[:options.each]) * count // parts for count in (part - 1, part))
         chosen += some[first:last]  # neighbours: what turned red for one often does so for the next
     assert chosen, "no such row"
-    with concurrent.futures.ThreadPoolExecutor(options.jobs) as pool, tempfile.TemporaryDirectory(prefix="yapp-plant-") as name:
+    with multiprocessing.pool.ThreadPool(options.jobs) as pool, tempfile.TemporaryDirectory(prefix="yapp-plant-") as name:
         plugins = pathlib.Path(name)
         plugins.chmod(0o755)
-        for row, test in zip(chosen, pool.map(lambda row: red(row, plugins), chosen)):
+        for row, test in pool.imap_unordered(lambda row: (row, red(row, plugins)), chosen):
             print(f"plant: {' '.join(row)}: {test or 'NOTHING TURNS RED'}", flush=True)
             if test:
                 were_red.add(test)
