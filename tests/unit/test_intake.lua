@@ -117,14 +117,14 @@ function T.test_a_message()
   local change = { missing = 1 }
   report_message(intake, message { visited = true, change = change, is_unreliable = true })
   local event = offered[1][1]
-  lu.assertEquals({ event.frame, event.time, event.seq, event.payload, event.raws ~= nil, offered[1][2] },
-    { 1, 0.5, 0, "\0\0\0", true, true })
+  lu.assertEquals({ event.frame, event.time, event.seq, event.raws ~= nil, offered[1][2] },
+    { 1, 0.5, 0, true, true })
   lu.assertEquals(event.values, { change = change, is_unreliable = true })
   report_message(intake, message())
   lu.assertIs(table.remove(offered)[1].values, kinds.NOTHING) -- as of most messages
   lu.assertIs(event.values.change, change)
   lu.assertIs(event.source, SOURCE)
-  for i, with in ipairs { { is_unreliable = true }, { undecoded = 2 }, { change = change } } do
+  for i, with in ipairs { { is_unreliable = true }, { undecoded = 2, size = 3 }, { change = change } } do
     report_message(intake, message(with))
     lu.assertEquals(offered[i + 1][1].values, with)
   end

@@ -23,10 +23,10 @@ local function finish(queue, unfinished, unread)
   return { queue:finish { unfinished = unfinished or {}, unread = unread, drops = {}, extended = 0, can = 0 } }
 end
 
--- A statistic that notes the payloads of what it gets; payloads are names here.
+-- A statistic that notes the raw values of what it gets, which are names here.
 local function notes(code, text)
   local self = { got = {} }
-  function self.event(_, event) self.got[#self.got + 1] = event.payload end
+  function self.event(_, event) self.got[#self.got + 1] = event.raws end
   function self.finish(_, ending)
     self.last = ending.rel
     return code, text
@@ -35,7 +35,7 @@ local function notes(code, text)
 end
 
 local function event_of(frame, name, kind, values)
-  local m = { seq = 0, payload = name, raws = {} }
+  local m = { seq = 0, raws = name }
   return kinds.event(kind or "message", frame, frame, SOURCE, values, m)
 end
 

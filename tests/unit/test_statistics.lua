@@ -46,10 +46,10 @@ local NAMED_RIGHT = { { id = 0x210, bus = 'can"9', name = "right", message = MOT
 local function record(frame, rel, with)
   with = with or {}
   local source, content = with.source or LEFT, with.payload or payload(10)
-  local m = { seq = with.seq or 0, payload = content }
+  local m = { seq = with.seq or 0 }
   if with.fits ~= false then m.raws = source.message.read(content) end
   local values = with.values or { change = with.change, invalid = with.invalid, undecoded = with.undecoded,
-    is_unreliable = with.is_unreliable }
+    is_unreliable = with.is_unreliable, size = (with.fits == false or with.undecoded) and #content or nil }
   return kinds_of.event(with.kind or "message", frame, rel, source, values, m)
 end
 

@@ -285,6 +285,31 @@ function T.test_columns_of_derived_values()
   lu.assertEquals(row_of(m, "\7"), "7,,,")
 end
 
+-- Of two compressed floats the value is made from source: it is that of the general way.
+function T.test_cells_of_derived_floats()
+  local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 4,
+    derived = { { "p", "a * b", "P" }, { "s", "a + c", "S" }, { "n", "b - a", "N" }, { "l", "c * c", "L" } },
+    { "a", "float8", "A", min = -1.3, max = 2.5 }, { "b", "float16", "B", min = -7, max = 9.1 },
+    { "c", "float8", "C", min = 0, max = 1e305 } } }
+  lu.assertEquals(problems, {})
+  local m, compared = compiled.messages[1], 0
+  for _, a in ipairs { "00", "01", "7f", "fa", "fb", "ff" } do
+    for _, rest in ipairs { "000000", "0180fa", "faff80", "ffff01", "0080", "fbffff" } do
+      local payload = bytes(a .. rest)
+      local row, raws = row_of(m, payload), m.read(payload)
+      local cells = {}
+      for i, item in ipairs(m.derived) do
+        local value = field_kinds.value(item, raws)
+        cells[i] = value and field_kinds.number_text(item, value) or ""
+        if value then compared = compared + 1 end
+      end
+      lu.assertEquals(row:match("[^,]*,[^,]*,[^,]*,[^,]*$"), table.concat(cells, ","))
+    end
+  end
+  lu.assertEquals(row_of(m, bytes "000000fa"):match("[^,]*,[^,]*$"), "-5.7,", "1e305 * 1e305 is too large")
+  lu.assertTrue(compared > 40, compared)
+end
+
 -- Seven digits, no infinity, and no integer of Lua 5.4 that wraps around.
 function T.test_products_of_large_numbers()
   local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 20,

@@ -22,7 +22,7 @@ local KINDS = field_kinds.BY_NAME
 --   field
 --   write   function(raw) -> text; where index is nil, it takes all raws
 --   absent  the text of a missing field
---   shape   a format for the value of a compressed float, false for other fields }
+--   shape   a format for the value of a compressed float, or of two, see value_source; else false }
 
 local MAX_PIECES = 100 -- of a usual message: a function has up to 200 local variables
 local SOURCE = [[
@@ -32,10 +32,17 @@ return function(raws)
 return format(%s)
 end]]
 
--- Return the value of a compressed float as source, see field_kinds.value.
-local function value_source(field, a)
+-- Return the value of a compressed float as source, see field_kinds.value; also of a value that is
+-- worked out from two of them.  Nil for others.
+-- raws  [field] = the name of its raw value
+local function value_source(field, raws)
+  if field.kind == "derived" then
+    local a, b = value_source(field.a, raws), value_source(field.b, raws)
+    return a and b and format("%s %s %s", a, field.operator, b)
+  end
+  if field.kind ~= "float" or not raws[field] then return nil end
   local steps, span = field.top - field_kinds.below_top, field.max - field.min
-  return format("(%.17e + %s * %.17e) / %.17e", field.min * steps, a, span, steps)
+  return format("((%.17e + %s * %.17e) / %.17e)", field.min * steps, raws[field], span, steps)
 end
 
 -- Write the pieces one by one.
@@ -53,26 +60,38 @@ local function write_each(pieces, raws)
   return concat(texts)
 end
 
+-- Return a piece as source: a line that has its raw value, and the value to format.
+-- index  of the piece
+-- raws   [field] = the name of its raw value, of the pieces before it
+local function piece_source(piece, index, raws)
+  local field, name = piece.field, "a" .. index
+  local raw = piece.index and format("raws[%d]", piece.index) or "raws"
+  local condition, value = "not " .. name, format("WRITE[%d](%s)", index, name)
+  if piece.index then raws[field] = name end
+  local source = piece.shape and value_source(field, raws)
+  if source and piece.index then
+    condition = format("%s or %s < 0 or %s > %.0f", condition, name, name, field.ordinary)
+    value = source
+  elseif source then -- the value may be too large
+    raw, condition, value = source, format("%s - %s ~= 0", name, name), name
+  end
+  local line = "local %s = %s if %s then return write_slowly(raws) end"
+  return format(line, name, raw, condition), value, source and piece.shape or "%s"
+end
+
 -- Make a function(raws) -> text that writes a usual message, which has all fields and no reserved
 -- value, at once.  It is made from Lua source: a loop over the pieces would make a packet list 6 %
 -- slower, and a table 13 %.
 local function new_writer(pieces)
   local function write_slowly(raws) return write_each(pieces, raws) end
   if #pieces > MAX_PIECES then return write_slowly end
-  local lines, writes, values, shapes = {}, {}, { "SHAPE" }, {}
+  local lines, writes, values, shapes, raws = {}, {}, { "SHAPE" }, {}, {}
   for i, piece in ipairs(pieces) do
     if type(piece) == "string" then
       shapes[i] = piece:gsub("%%", "%%%%")
     else
-      local a, raw = "a" .. i, piece.index and format("raws[%d]", piece.index) or "raws"
-      local condition, value = "not " .. a, format("WRITE[%d](%s)", i, a)
-      if piece.shape then
-        condition = format("%s or %s < 0 or %s > %.0f", condition, a, a, piece.field.ordinary)
-        value = value_source(piece.field, a)
-      end
-      lines[#lines + 1] = format("local %s = %s if %s then return write_slowly(raws) end", a, raw,
-        condition)
-      writes[i], shapes[i], values[#values + 1] = piece.write, piece.shape or "%s", value
+      writes[i] = piece.write
+      lines[#lines + 1], values[#values + 1], shapes[i] = piece_source(piece, i, raws)
     end
   end
   local source = format(SOURCE, concat(lines, "\n"), concat(values, ", "))
@@ -222,7 +241,8 @@ local rows = memo(function(message)
     pieces[#pieces + 1] = {
       field = field,
       index = field.index,
-      shape = field.kind == "float" and field.shape .. ",",
+      shape = field.kind == "float" and field.shape .. "," or
+        field.kind == "derived" and field.shape,
       write = field_kinds.cells_of(field),
       absent = (","):rep(#columns - 1),
     }

@@ -69,7 +69,8 @@ function M.new(settings, statistic, options)
     came = {}, -- sources with an event that counts
     copies = 0, -- number of messages that were recorded once more, or several times
     originals = {}, -- [source] = frame key of the latest of them
-    counts = {}, -- of events, by kind, where a fault may be hidden
+    -- Of events, by kind, where a fault may be hidden; false if nothing is to be said of that.
+    counts = (options.looks_for_faults or options.row.looks_for_faults) and {} or false,
     unreliable_notes = {}, -- texts: why the history of a source is unreliable; and by source
     now = nil, -- seconds of the capture, see above
   }, Deriver)
@@ -87,7 +88,7 @@ function Deriver:add(event, cause)
     return
   end
   local counts = self.counts
-  if may_have_faults(event.source) then
+  if counts and may_have_faults(event.source) then
     counts[event.kind] = (counts[event.kind] or 0) + (event.values.count or 1)
   end
   self.statistic:event(event, self.now, cause or event)
@@ -234,9 +235,10 @@ function Deriver:take(event, now, capture_now)
   if is_counted then
     self.came[event.source] = true
     if event.kind == "copies" then note_copy(self, event) end
-    local rest = event.values.undecoded
-    if is_message and (rest or not event.raws) then
-      emit(self, "unknown", event, self.undecoded:note(event.source, #event.payload, rest))
+    local size = is_message and event.values.size
+    if size then
+      local rest = event.values.undecoded
+      emit(self, "unknown", event, self.undecoded:note(event.source, size, rest))
     end
   end
   if is_message and not self.statistic.wants_messages_only then
@@ -335,16 +337,14 @@ end
 
 -- Return the texts on all that the answer leaves out, and whether they make it undecided.
 local function notes_of(self, ending)
-  local reason, matched, options = ending.reason, self.matched, self.options
+  local reason, matched = ending.reason, self.matched
   if matched and not next(self.came) then reason = reason or "no message matches the filter" end
   local unreliable = self.statistic.follows_changes and self.unreliable_notes or NOTHING
   local problems = self.statistic.lists_problems and NOTHING or ending.problems
   local no_times = ending.lacks_times and ending.lacks_times .. ": " .. NO_SPANS
   local notes = joined(problems, { reason }, { no_times }, self.undecoded:texts(), unreliable)
   notes[#notes + 1] = copies_text(self.copies)
-  if options.looks_for_faults or options.row.looks_for_faults then
-    notes[#notes + 1] = hiding(self, ending.now)
-  end
+  if self.counts then notes[#notes + 1] = hiding(self, ending.now) end
   if not matched then notes[#notes + 1] = ending.hint end
   return notes, ending.problems[1] ~= nil or unreliable[1] ~= nil
 end

@@ -4,7 +4,8 @@
 -- The values of a good message's event are kinds.NOTHING for most messages, else {
 --   change         of message.history, or nil
 --   invalid        list of values of `invalid` events, or nil
---   undecoded      number of bytes behind those that the catalogue has, or nil
+--   size           number of its bytes, if the catalogue does not decode all of them
+--   undecoded      number of these bytes behind those that the catalogue has, or nil
 --   is_unreliable  whether what came before the message is not known }
 -- The values of a loss are {
 --   shown    { what = "incomplete", "orphan" or "overrun" }: its values once it is handed on
@@ -117,12 +118,14 @@ end
 
 local function values_of(message)
   local invalid = message.remarks and invalid_of(message)
-  if not (message.change or invalid or message.undecoded or message.is_unreliable) then
+  local is_decoded = message.raws and not message.undecoded
+  if is_decoded and not (message.change or invalid or message.is_unreliable) then
     return kinds.NOTHING
   end
   return {
     change = message.change or nil,
     invalid = invalid or nil,
+    size = not is_decoded and #message.payload or nil,
     undecoded = message.undecoded or nil,
     is_unreliable = message.is_unreliable or nil,
   }

@@ -155,7 +155,7 @@ M.NOTHING = {}
 -- source  of message.reader, one table for all its events; for events of a bus, or of the capture,
 --         with its bus and name alone, or with nothing
 -- values  by the keys of its kind, and by those in its text; of a message see stat.intake
--- message  of a message: { seq, payload, raws = its raw values, nil where the catalogue does not
+-- message  of a message: { seq, raws = its raw values, nil or false where the catalogue does not
 --         decode it }
 function M.event(kind, frame, time, source, values, message)
   return {
@@ -166,7 +166,6 @@ function M.event(kind, frame, time, source, values, message)
     source = source,
     values = values or M.NOTHING,
     seq = message and message.seq,
-    payload = message and message.payload,
     raws = message and message.raws,
   }
 end
