@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """docs/files.md: each file of its table opens, or does not, as the table says for this Wireshark."""
+import gzip
+import json
 import os
 import re
 import resource
@@ -170,3 +172,43 @@ def test_every_bus_of_a_log(folder, passes):
     rows = tshark.fields(folder / "four.log", ["yapp.bus", "yapp.source"], *passes, "-o",
                          "yapp.sources:" + ",".join(f"{bus}/0x210=motor:esc_{bus}" for bus in buses))
     assert rows == [[bus, f"esc_{bus}"] for bus in buses for _ in lines]
+
+
+# A compressed file that is damaged ---------------------------------------------------------------------------------------
+
+def cut_off(packed):
+    return packed[:len(packed) * 3 // 4]
+
+
+def overwritten(packed):
+    at = len(packed) * 3 // 4
+    return packed[:at] + bytes(10) + packed[at + 10:]
+
+
+def wrong_sum(packed):
+    return packed[:-6] + bytes([packed[-6] ^ 1]) + packed[-5:]
+
+
+@pytest.mark.parametrize("damage, repeats", [(cut_off, 1), (overwritten, 1), (wrong_sum, 1), (cut_off, 30)])
+def test_buses_of_a_damaged_file(folder, damage, repeats):
+    """Wireshark lets nobody read its last bytes but its own reader.  Large: the first bytes can be read."""
+    flight = (tshark.ROOT / "docs/flight.pcapng").read_bytes()
+    packets = flight.index(b"\6\0\0\0\x30")
+    path = folder / "flight.pcapng.gz"
+    path.write_bytes(damage(gzip.compress(flight[:packets] + flight[packets:] * repeats)))
+    done = tshark.run("-q", "-r", path, "-z", "yapp,summary,json", check=False)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert {(row["bus"], row["id"]) for row in rows} == {(bus, number) for bus in ("can0", "can1") for number in (0, 0x200, 0x210)}
+    assert "apart" not in done.stderr and "two controllers" not in done.stderr
+    assert re.search("cut short|damaged|corrupt", done.stderr) and done.returncode != 0
+
+
+def test_a_damaged_log(folder):
+    """What can be read is shown, and that there was more."""
+    path = folder / "run.log.gz"
+    lines = (tshark.CAPTURES / "cases/c06_two_buses_truth.log").read_text().splitlines()
+    text = "".join(f"({1700000000 + i / 1000:.6f}) {lines[i % len(lines)].split(' ', 1)[1]}\n" for i in range(60000))
+    path.write_bytes(cut_off(gzip.compress(text.encode(), 1)))
+    done = tshark.run("-q", "-r", path, "-z", "yapp,check,motor.count=100", check=False, lua_errors=True)
+    assert "the file cannot be read behind byte" in done.stderr and done.returncode not in (0, 21)
+    assert re.search(r"(?m)^ok +motor.count=100 +can1", done.stdout)

@@ -97,7 +97,7 @@ function T.test_a_file_that_cannot_be_read_on()
     end }
     local lines = text.lines("")
     if before ~= "" then lu.assertEquals(lines:next(file), "one") end
-    lu.assertErrorMsgContains(("the line at offset %d: Input/output error"):format(before == "" and 0 or 4),
+    lu.assertErrorMsgContains(("behind byte %d (Input/output error)"):format(before == "" and 0 or 4),
       function() lines:next(file) end)
   end
 end

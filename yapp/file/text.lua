@@ -13,6 +13,8 @@ local BLOCK = 65536 -- bytes read at once
 local MAX_LINE = 4096
 local MAX_REPORTED = 3 -- lines for each reason
 local TOO_LONG = "a line longer than 4096 bytes, skipped"
+local UNREADABLE = "the file cannot be read behind byte %d (%s): a compressed file may be " ..
+  "damaged, or cut off; what was read until there is shown"
 local COMMENT = "^%s*[#;/]"
 local SECOND = 1000000000 -- nanoseconds
 local MARK = "\239\187\191" -- a byte order mark, in front of UTF-8
@@ -54,9 +56,7 @@ end
 function Lines:read_on(file)
   local begin = self.text:sub(self.pos, self.pos + MAX_LINE)
   local more, why = file:read(BLOCK)
-  if why then
-    error(("cannot read the line at offset %d: %s"):format(self.base + self.pos - 1, why), 0)
-  end
+  if why then error(UNREADABLE:format(self.base + self.pos - 1, why), 0) end
   self.base = self.base + #self.text - #begin
   self.text = begin .. (more or "")
   self.pos = 1

@@ -38,11 +38,12 @@ end
 
 -- Read the first bytes of a capture.
 -- returns  the bytes; whether it is a file: more of a pipe must not be read, as Wireshark cannot
---          rewind it further.  In tshark, the read of a file moves the position of an open file.
+--          rewind it further.  In tshark, the read of a file moves the position of an open file;
+--          and why they cannot be read, nil if they can
 local function read_head(file)
   local before = positions()
-  local head = file:read(capture.HEAD) or ""
-  return head, not IS_TSHARK or IS_WINDOWS or positions() ~= before
+  local head, why = file:read(capture.HEAD)
+  return head or "", not IS_TSHARK or IS_WINDOWS or positions() ~= before, why
 end
 
 --- Look at the head of each file from now on.  Call it once.
@@ -54,16 +55,19 @@ function M.watch()
     "Looks at the headers", "rms")
   function handler.read_open(file, _)
     self.has_seen_file = true
-    local head, is_file = read_head(file)
+    local head, is_file, why = read_head(file)
     local function more(skip, count)
       if not is_file then return nil end
       if skip > 0 then file:seek("cur", skip) end
-      return file:read(count)
+      local bytes, problem = file:read(count)
+      why = why or problem
+      return bytes
     end
     self.seen = capture.read(head, more)
     self.seen_stamps_differ = stamps.differ(head)
     self.is_short = #head < capture.HEAD
     self.is_long_pipe = not (self.is_short or is_file)
+    self.is_damaged = why ~= nil -- as a compressed file that was cut off
     file_readers.forget()
     return false
   end
@@ -121,7 +125,7 @@ local function are_fields_needed(self)
   -- A short file may be of a live capture that already had packets when it was opened.
   local may_go_on = self.is_short and found.has_several or found.is_live
   local is_open = self.is_long_pipe and found.yapp_interfaces > 0
-  return may_go_on or is_open or self:missed_file()
+  return may_go_on or is_open or self.is_damaged or self:missed_file()
 end
 
 --- Use the file that was seen last: it is about to be dissected.  Files seen before it did not
