@@ -218,7 +218,7 @@ def passes_suite(folder, path, python):
     return not known[path].failed_test([[file] for file in suite_of(path)], lambda suite: failed_test(folder, path, python, suite))
 
 
-def survives(folder, path, mutant, tests, seconds, python):
+def survives(folder, path, mutant, tests, seconds, python, is_unit):
     """Whether all tests pass with a mutant in a copy of the tree: each in the CPU seconds that it needs, and more."""
     whole = (folder / path).read_text()
     (folder / path).write_text(mutant)
@@ -226,7 +226,7 @@ def survives(folder, path, mutant, tests, seconds, python):
         if not tests:
             return passes_suite(folder, path, python)
         return (all(passes(folder, test, math.ceil(2 + 5 * seconds[test])) for test in tests) and
-                (str(path) not in SUITES or passes_suite(folder, path, python)))
+                (is_unit or str(path) not in SUITES or passes_suite(folder, path, python)))
     except subprocess.TimeoutExpired:
         return False
     finally:
@@ -250,6 +250,7 @@ def main():
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--least", type=float, default=95, help="per cent that have to be killed")
     parser.add_argument("--other", action="store_true", help="those that no unit test loads")
+    parser.add_argument("--unit", action="store_true", help="by the unit tests alone")
     parser.add_argument("--python", default=sys.executable, help="that has what tests/tools needs")
     parser.add_argument("modules", nargs="*", type=pathlib.Path, help="all that need no Wireshark by default")
     options = parser.parse_args()
@@ -269,7 +270,8 @@ def main():
             concurrent.futures.ThreadPoolExecutor(options.jobs) as pool:
         free = copies(options.jobs, pathlib.Path(folder))
         whole = free.get()
-        for test in [] if options.other else TESTS:  # in a copy, where a file may be missing; what takes long may fail once
+        modules = options.modules or (other_modules(loads) if options.other else loaded_modules(loads))
+        for test in (test for test in TESTS if not options.other and loads[test] & set(modules)):  # in a copy, where a file may be missing; what takes long may fail once
             before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
             assert passes(whole, test, 600) or passes(whole, test, 600), f"{test} fails without a mutant"
             seconds[test] = (resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before) / 2
@@ -278,11 +280,11 @@ def main():
         def judge(path, line, before, after, mutant):
             tests, copy = [] if options.other else tests_of(path), free.get()
             try:
-                return path, line, before, after, survives(copy, path, mutant, tests, seconds, options.python)
+                return path, line, before, after, survives(copy, path, mutant, tests, seconds, options.python, options.unit)
             finally:
                 free.put(copy)
 
-        running = [pool.submit(judge, path, *one) for path in options.modules or (other_modules(loads) if options.other else loaded_modules(loads))
+        running = [pool.submit(judge, path, *one) for path in modules
                    for one in sample(path, options.each, options.seed) if (str(path), *one[1:3]) not in equivalent]
         for one in running:
             path, line, before, after, survived = one.result()

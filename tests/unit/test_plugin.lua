@@ -20,7 +20,7 @@ local DEFAULTS = { command_ids = "0", motor_ids = "528", health_ids = "512", sou
 
 local seen -- what happened, by subject
 local said -- what the stand-ins answer
-local real = { exit = os.exit, stderr = io.stderr, loaded = {}, searchers = {} }
+local real = { exit = os.exit, getenv = os.getenv, stderr = io.stderr, loaded = {}, searchers = {} }
 
 -- A stand-in of an object: each method notes its call in seen.calls as "name.method", and returns what `said` has of
 -- that.
@@ -50,6 +50,7 @@ end
 -- A module whose `new` makes one object.
 local function maker(name, object)
   return { new = function(...)
+    lu.assertNil(seen.made[name], name .. " is made once")
     seen.made[name] = { ... }
     return object
   end }
@@ -66,7 +67,10 @@ local function new_table(name)
   local own = seen.tables[name] or { added = {}, decode_as = {} }
   seen.tables[name] = own
   return {
-    add = function(_, key, proto) own.added[tostring(key)] = proto.name end,
+    add = function(_, key, proto)
+      lu.assertNil(own.added[tostring(key)], "each is registered once")
+      own.added[tostring(key)] = proto.name
+    end,
     add_for_decode_as = function(_, proto) own.decode_as[#own.decode_as + 1] = proto.name end,
   }
 end
@@ -83,7 +87,7 @@ local function set_globals(is_gui)
   _G.Proto = new_proto
   _G.DissectorTable = { get = new_table }
   _G.Dissector = { get = function(name) return stand_in("dissector " .. name) end }
-  _G.Dir = { personal_config_path = function(name) return "/nowhere/" .. name end,
+  _G.Dir = { personal_config_path = function(name) return (said.config or "/nowhere/") .. name end,
     personal_plugins_path = function() return said.plugins or "/nowhere/plugins" end }
   function _G.gui_enabled() return is_gui end
   function _G.register_stat_cmd_arg(name, f) seen.statistics[name] = f end
@@ -131,6 +135,7 @@ function T.setUp()
   for i, searcher in ipairs(searchers) do real.searchers[i] = searcher end
   package.loaded["yapp.plugin"], package.loaded["yapp.base.later"] = nil, nil
   function os.exit(code) error({ code = code }, 0) end -- luacheck: ignore
+  function os.getenv(name) return said[name] end -- luacheck: ignore
   io.stderr = { write = function(_, ...) table.insert(seen.stderr, table.concat({ ... })) end } -- luacheck: ignore
 end
 
@@ -140,7 +145,7 @@ function T.tearDown()
   while searchers[1] do table.remove(searchers) end
   for i, searcher in ipairs(real.searchers) do searchers[i] = searcher end
   package.loaded["yapp.plugin"] = nil
-  os.exit, io.stderr = real.exit, real.stderr -- luacheck: ignore
+  os.exit, os.getenv, io.stderr = real.exit, real.getenv, real.stderr -- luacheck: ignore
 end
 
 -- Load the plugin; return its protocols by name, what is found in the file, and what the module returns.
@@ -202,6 +207,10 @@ function T.test_can_ids_of_messages()
   protos.yapp.prefs_changed()
   lu.assertEquals({ ranges_of(0), ranges_of(0x200), ranges_of(0x211) }, { ALL, ALL, ALL })
   lu.assertEquals({ ranges_of(0x201), ranges_of(0x7FF) }, { NONE, NONE })
+  local count = 0
+  for key in pairs(seen.tables["can.extended_id"].added) do if key:find("-", 1, true) then count = count + 1 end end
+  lu.assertEquals(count, 3 * 4)
+  protos.yapp.prefs_changed()
 end
 
 -- Of an unknown ID all Starts once one came, and of the other frames the Seq Nos that came.
@@ -238,11 +247,50 @@ function T.test_a_clone_in_the_plugin_folder()
   said.plugins = "./"
   load()
   lu.assertStrContains(table.concat(seen.stderr), "./ is a clone in a plugin folder")
-  seen.stderr, package.loaded["yapp.plugin"] = {}, nil
+  seen.stderr, seen.tables, package.loaded["yapp.plugin"] = {}, {}, nil
+  said.plugins = "./[a folder"
+  load()
+  lu.assertEquals(seen.stderr, {}, "elsewhere")
+  said.plugins, seen.tables, package.loaded["yapp.plugin"] = "./", {}, nil
   package.preload["yapp.wire.crc"] = function() end
   load()
   package.preload["yapp.wire.crc"] = nil
   lu.assertEquals(seen.stderr, {}, "an installation")
+end
+
+function T.test_modules_are_found_beside_the_plugin()
+  load()
+  lu.assertNil(searchers[2]("other.module"))
+  local ok, problem = pcall(searchers[2], "yapp.nowhere.at_all")
+  lu.assertEquals({ ok, problem:match("^[^:]*") }, { false, "cannot open ./yapp/nowhere/at_all.lua" })
+  lu.assertEquals(searchers[2]("yapp.stat.names")()[1], require("yapp.stat.names")[1])
+end
+
+local OWN = 'return { { name = "own%d", title = "Own", id = 0x30%d, size = 1, { "value", "uint8", "Value" } } }'
+
+-- The user's own messages: of the personal folder, of the default profile's preference, of the environment.
+function T.test_own_messages()
+  local folder = os.tmpname()
+  os.remove(folder)
+  said.config, said.YAPP_MESSAGES = folder, folder .. "3.lua"
+  local files = { ["yapp_messages.lua"] = OWN:format(1, 1), ["preferences"] = "yapp.messages: " .. folder .. "2.lua\n",
+    ["2.lua"] = OWN:format(2, 2), ["3.lua"] = OWN:format(3, 3) }
+  for name, text in pairs(files) do
+    local file = assert(io.open(folder .. name, "w"))
+    file:write(text)
+    file:close()
+  end
+  local protos = load()
+  for name in pairs(files) do os.remove(folder .. name) end
+  local names = {}
+  for i, message in ipairs(seen.catalogue.messages) do names[i] = message.name end
+  lu.assertEquals(names, { "command", "motor", "health", "own1", "own2", "own3" })
+  seen.statistics["yapp,faults"]("yapp,faults")
+  for _, path in ipairs { folder .. "2.lua", folder .. "3.lua", "" } do
+    protos.yapp.prefs.messages = path
+    protos.yapp.prefs_changed()
+    lu.assertEquals(seen.made.taps[1].settings.problems, {}, path)
+  end
 end
 
 -- A file -------------------------------------------------------------------------------------------------------------
@@ -318,7 +366,7 @@ function T.test_all_extended_frames()
   lu.assertEquals(seen.arguments["socketcan.wrap"], { protos.yapp_socketcan })
   protos.yapp.init()
   lu.assertEquals(#protos.yapp_all.heuristics, 1)
-  said["socketcan.find_id"], said["frames.dissect"] = 0x8404000, 8
+  said["socketcan.find_id"], said["frames.dissect"] = 0x8404000, 1
   local tvb, pinfo = stand_in("tvb"), {}
   lu.assertTrue(protos.yapp_all.heuristics[1][2](tvb, pinfo, "root"))
   lu.assertEquals(seen.arguments["frames.dissect"], { tvb, pinfo, "root", 0x8404000, true })
@@ -408,6 +456,9 @@ function T.test_calls_are_counted()
   lu.assertEquals(calls, { begun = 3, ended = 2 })
   protos.yapp.init()
   lu.assertEquals(calls, { begun = 1, ended = 1 })
+  said["buses.init"] = function() error("broken") end
+  lu.assertFalse(pcall(protos.yapp.init))
+  lu.assertEquals(calls, { begun = 1, ended = 0 })
 end
 
 -- The first frame gives the table of ids the dissector of the others.
@@ -477,6 +528,8 @@ function T.test_the_time_of_a_frame_in_a_dump()
   end
   local second = "\1\202\154\59\0\0\0\0" -- 1,000,000,001 ns
   lu.assertEquals({ parts.time_of(frame(0x210, 32, second)) }, { 1, 1 })
+  lu.assertEquals({ parts.time_of(frame(0x210, 32, second):sub(1, 12 + 32)) }, { 1, 1 }, "its CRC is missing")
+  lu.assertEquals({ parts.time_of(frame(0x210, 32, "\9" .. ("\0"):rep(7))) }, { 0, 9 })
   lu.assertEquals({ parts.time_of(frame(0x210, 31, second)) }, {}, "shorter than Motor Data")
   lu.assertEquals({ parts.time_of(frame(0x300, 32, second)) }, {}, "an unknown ID")
   lu.assertEquals({ parts.time_of(frame(0, 32, second)) }, {}, "Command has no clock")
