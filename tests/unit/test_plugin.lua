@@ -219,6 +219,7 @@ function T.test_can_ids_of_an_unknown_id()
   local register_start, added = seen.made.can[5], seen.tables["can.extended_id"].added
   register_start(0x300, 7)
   register_start(0x300, 9)
+  register_start(0x300, 7)
   register_start(0x210, 7)
   local first = 0x300 * 0x40000
   lu.assertEquals(ranges_of(0x300), { "none", "yapp", "none", "none" })
@@ -291,6 +292,14 @@ function T.test_own_messages()
     protos.yapp.prefs_changed()
     lu.assertEquals(seen.made.taps[1].settings.problems, {}, path)
   end
+end
+
+function T.test_a_catalogue_that_does_not_load()
+  said.YAPP_MESSAGES = "/nowhere/own.lua"
+  load(true)
+  seen.protos.yapp.init()
+  lu.assertEquals(seen.made.taps[1].settings.problems, { "the catalogue did not load whole" })
+  lu.assertStrContains(calls_of("^preferences")[1], "complain")
 end
 
 -- A file -------------------------------------------------------------------------------------------------------------

@@ -1,0 +1,498 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- CAN frames between Wireshark and the reading: what the header in front of them says, which wait for a tap, and
+-- what the reading and the view are handed.  Wireshark's API, the reading and the view are stand-ins here; tests/e2e
+-- has the real ones.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local frame_key = require("yapp.base.frame_key")
+local unpack_all = table.unpack or unpack -- luacheck: ignore
+
+local T = {}
+
+local GLOBALS = { "Tvb", "wtap", "DissectorTable", "all_field_infos", "get_preference" }
+local MODULES = { "yapp.host.socketcan", "yapp.host.deferral", "yapp.host.can" }
+local EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
+local MOTOR = 0x08404000 -- ID 0x210, Start, Seq No 0
+
+local seen, said
+local socketcan
+
+-- Bytes of a packet.
+local Range, Buffer = {}, {}
+Range.__index, Buffer.__index = Range, Buffer
+function Buffer.__call(self, offset, length)
+  length = length or #self.bytes - offset
+  assert(offset >= 0 and offset + length <= #self.bytes, "Range is out of bounds")
+  return setmetatable({ bytes = self.bytes:sub(offset + 1, offset + length), start = self.start + offset }, Range)
+end
+local function buffer(bytes, reported, start)
+  return setmetatable({ bytes = bytes, reported = reported or #bytes, start = start or 0 }, Buffer)
+end
+function Buffer.len(self) return #self.bytes end
+function Buffer.reported_len(self) return self.reported end
+function Buffer.offset(self) return self.start end
+function Buffer.raw(self, offset, length)
+  offset = offset or 0
+  return self.bytes:sub(offset + 1, length and offset + length or nil)
+end
+function Range.tvb(self) return buffer(self.bytes, nil, self.start) end
+function Range.uint(self)
+  local number = 0
+  for i = 1, #self.bytes do number = number * 256 + self.bytes:byte(i) end
+  return number
+end
+function Range.le_uint(self) return Range.uint { bytes = self.bytes:reverse() } end
+
+local function big_endian(word)
+  local bytes = {}
+  for i = 4, 1, -1 do
+    bytes[i] = string.char(word % 256)
+    word = math.floor(word / 256)
+  end
+  return table.concat(bytes)
+end
+
+-- A SocketCAN record: the id, the length, three bytes, the data.
+local function record(word, data, is_little)
+  local id = big_endian(word)
+  return (is_little and id:reverse() or id) .. string.char(#data, 0, 0, 0) .. data
+end
+
+-- A table of dissectors; those of SocketCAN note what they get.
+local function new_table(name)
+  local own = seen.tables[name] or {}
+  seen.tables[name] = own
+  return {
+    get_dissector = function(_, key) return own[key] end,
+    add = function(_, key, dissector) own[key] = dissector end,
+  }
+end
+
+local function inner(name)
+  return { name = name, call = function(_, tvb, pinfo, tree)
+    seen.inner = { name, tvb, pinfo, tree }
+    if said.never_returns then coroutine.yield() end
+    if said.throws then error("ReportedBoundsError") end
+    return said.taken
+  end }
+end
+
+function T.setUp()
+  seen = { proto = {}, calls = {}, tables = {
+    wtap_encap = { [125] = inner("pcap") },
+    ["sll.ltype"] = { [0x0C] = inner("sll"), [0x0D] = inner("sll fd") },
+  } }
+  said = { fields = {}, preferences = {}, taken = 16 }
+  _G.Tvb, _G.wtap = Buffer, { SOCKETCAN = 125 }
+  _G.DissectorTable = { get = new_table }
+  function _G.all_field_infos()
+    if said.fields == "throws" then error("throws") end
+    return unpack_all(said.fields)
+  end
+  function _G.get_preference(name) return said.preferences[name] end
+  for _, name in ipairs(MODULES) do package.loaded[name] = nil end
+  socketcan = require("yapp.host.socketcan")
+end
+
+function T.tearDown()
+  for _, name in ipairs(GLOBALS) do _G[name] = nil end
+  for _, name in ipairs(MODULES) do package.loaded[name] = nil end
+end
+
+local function packet(number, with)
+  local pinfo = { number = number, visited = false, len = 16, rel_ts = number / 10, match_uint = 125,
+    cols = { info = "(info)", protocol = "CAN" } }
+  for name, value in pairs(with or {}) do pinfo[name] = value end
+  return pinfo
+end
+
+-- The header in front -------------------------------------------------------------------------------------------------
+
+-- Let SocketCAN's wrapper see a record; return what it says of the frame: its id, and whether it is remote.
+local function read(bytes, with)
+  local pinfo, proto = packet(3, with), seen.proto
+  socketcan.wrap(proto)
+  local taken = proto.dissector(buffer(bytes, with and with.reported), pinfo, "tree")
+  return { socketcan.find_id(pinfo) or false, socketcan.is_remote(pinfo), taken }
+end
+
+function T.test_headers_are_read()
+  local data = "\1\2\3\4\5\6\7\8"
+  lu.assertEquals(read(record(EXTENDED + MOTOR, data)), { MOTOR, false, 16 })
+  lu.assertEquals(read(record(EXTENDED, data)), { 0, false, 16 })
+  lu.assertEquals(read(record(MOTOR % 0x800, data)), { false, true, 16 })
+  lu.assertEquals(read(record(EXTENDED + REMOTE + MOTOR, data)), { false, true, 16 })
+  lu.assertEquals(read(record(EXTENDED + ERROR + MOTOR, data)), { false, true, 16 })
+  lu.assertEquals(read(record(EXTENDED + ERROR, data)), { false, true, 16 })
+  lu.assertEquals(read(record(EXTENDED + MOTOR, data, true), { match_uint = 0x0C })[1], MOTOR)
+  lu.assertEquals(read(record(EXTENDED + MOTOR, data, true), { match_uint = 0x0D })[1], MOTOR)
+  lu.assertEquals({ seen.inner[1], seen.inner[4] }, { "sll fd", "tree" })
+  said.preferences["can.byte_swap"] = true
+  lu.assertEquals(read(record(EXTENDED + MOTOR, data, true))[1], MOTOR)
+  lu.assertEquals(read(record(EXTENDED + MOTOR, data, true), { match_uint = 0x0C })[1], MOTOR)
+  lu.assertEquals(read("\0\0\0\0\0\0\0")[3], 0, "shorter than a header")
+  lu.assertEquals(read(record(EXTENDED + MOTOR, data), { match_uint = 9 })[3], 0, "of no table of ours")
+end
+
+function T.test_the_wrapper_comes_and_goes()
+  local proto, before = {}, seen.tables.wtap_encap[125]
+  socketcan.wrap(proto)
+  lu.assertEquals({ seen.tables.wtap_encap[125], seen.tables["sll.ltype"][0x0D] }, { proto, proto })
+  socketcan.wrap({})
+  lu.assertIs(seen.tables.wtap_encap[125], proto, "it is there already")
+  socketcan.unwrap()
+  socketcan.unwrap()
+  lu.assertIs(seen.tables.wtap_encap[125], before)
+  lu.assertEquals(seen.tables["sll.ltype"][0x0C].name, "sll")
+end
+
+function T.test_a_wrapper_of_the_first_pass()
+  local proto = {}
+  socketcan.wrap(proto, true)
+  local bytes = record(EXTENDED + MOTOR, "\1")
+  proto.dissector(buffer(bytes), packet(1))
+  lu.assertIs(seen.tables.wtap_encap[125], proto)
+  lu.assertEquals(proto.dissector(buffer(bytes), packet(1, { visited = true })), 16)
+  lu.assertEquals(seen.tables.wtap_encap[125].name, "pcap")
+end
+
+-- At bytes that are not there a C dissector throws past Lua, which costs two of Lua's 200 nested calls for good.
+function T.test_truncated_frames()
+  local bytes = record(EXTENDED + MOTOR, "\1\2\3")
+  read(bytes, { reported = 16 })
+  lu.assertEquals(seen.inner[2]:reported_len(), 16)
+  read(record(MOTOR % 0x800, "\1\2\3"), { reported = 16 })
+  lu.assertEquals(seen.inner[2]:reported_len(), 11, "it cannot be YAPP")
+  said.throws = true
+  lu.assertEquals(read(bytes, { reported = 16 })[3], 11)
+end
+
+function T.test_calls_that_never_return()
+  local proto = {}
+  socketcan.wrap(proto)
+  said.never_returns = true
+  for _ = 1, 26 do -- these are not handed on as truncated ones
+    coroutine.wrap(proto.dissector)(buffer(record(MOTOR % 0x800, "\1\2\3"), 16), packet(3))
+  end
+  for count = 1, 26 do
+    coroutine.wrap(proto.dissector)(buffer(record(EXTENDED + MOTOR, "\1\2\3"), 16), packet(3))
+    lu.assertEquals(seen.inner[2]:reported_len(), count <= 24 and 16 or 11, count)
+  end
+end
+
+-- Fields and columns, where no header was read ------------------------------------------------------------------------
+
+function T.test_ids_of_fields_and_columns()
+  local function find(fields, info)
+    said.fields = fields
+    local id, is_unknown = socketcan.find_id(packet(1, { cols = { info = info or "(info)" } }))
+    return { id or false, is_unknown or false }
+  end
+  local function fields(extended)
+    return { { name = "can.id", value = EXTENDED + MOTOR }, { name = "can.flags.xtd", value = extended } }
+  end
+  lu.assertEquals(find(fields(true)), { MOTOR, false })
+  lu.assertEquals(find(fields(1)), { MOTOR, false })
+  lu.assertEquals(find(fields(false)), { false, false })
+  lu.assertEquals(find({ { name = "can.id", value = MOTOR } }), { false, true }, "nothing says that it is extended")
+  lu.assertEquals(find({}, "Ext. ID: 138428416 (0x8404000), Length: 8"), { MOTOR, false })
+  lu.assertEquals(find({}, "ID: 291 (0x123), Length: 8"), { false, false })
+  lu.assertEquals(find({}, "ERR: 4"), { false, false })
+  lu.assertEquals(find({}, "anything"), { false, true })
+  lu.assertEquals(find("throws", "anything"), { false, true })
+end
+
+function T.test_remote_frames_of_fields_and_columns()
+  local function is_remote(fields, info, protocol)
+    said.fields = fields
+    return socketcan.is_remote(packet(1, { cols = { info = info, protocol = protocol or "CAN" } }))
+  end
+  for value, wanted in pairs { [true] = true, [1] = true, [0] = false, [false] = false } do
+    lu.assertEquals(is_remote({ { name = "can.flags.rtr", value = value } }), wanted)
+  end
+  lu.assertTrue(is_remote({}, "ID: 291 (0x123), Length: 8 [Remote Transmission Request]"))
+  lu.assertFalse(is_remote({}, "ID: 291 (0x123), Length: 8 [Remote Transmission Request]", "CANFD"))
+  lu.assertFalse(is_remote({}, "ID: 291 (0x123), Length: 8"))
+  lu.assertNil(is_remote({}, "(info)"), "there are no columns")
+end
+
+-- The header in front of the data of a packet -------------------------------------------------------------------------
+
+local function id_before(bytes, offset, length, known_id)
+  local pinfo = packet(7)
+  local id = socketcan.id_before(buffer(bytes), pinfo, offset, length, known_id)
+  lu.assertEquals(socketcan.is_remote(pinfo), id == nil)
+  return id
+end
+
+function T.test_ids_before_the_data()
+  local data = "\0\0\0"
+  for front, is_big in pairs { [0] = true, [8] = true, [20] = false } do
+    for _, is_little in ipairs { true, false } do
+      local bytes = ("\0"):rep(front) .. record(EXTENDED + MOTOR, data, is_little)
+      local wanted = is_big ~= is_little and MOTOR or nil
+      lu.assertEquals(id_before(bytes, front + 8, 3), wanted, front)
+    end
+  end
+  said.preferences["can.byte_swap"] = true
+  lu.assertEquals(id_before(record(EXTENDED + MOTOR, data, true), 8, 3), MOTOR)
+  said.preferences["can.byte_swap"] = false
+  for _, is_little in ipairs { false, true } do
+    lu.assertEquals(id_before(record(EXTENDED + MOTOR, data, is_little), 8, 3, MOTOR), MOTOR, "the id proves the order")
+    lu.assertNil(id_before(record(EXTENDED + REMOTE + MOTOR, data, is_little), 8, 3, MOTOR))
+    lu.assertEquals(id_before(record(EXTENDED + 5, data, is_little), 8, 3, MOTOR), MOTOR, "no header")
+  end
+  lu.assertEquals(id_before(record(EXTENDED + MOTOR, data), 8, 4, 5), 5, "another length")
+  lu.assertNil(id_before(record(EXTENDED + MOTOR, data), 8, 4))
+  lu.assertEquals(id_before("\0\0\0", 3, 3, 5), 5, "no room for a header")
+  lu.assertEquals(id_before("\0\0\0", 30, 3, 5), 5, "behind the packet")
+  lu.assertEquals(id_before(record(EXTENDED + MOTOR, ""), 8, 0), MOTOR)
+end
+
+function T.test_records_fill_their_packet()
+  local function is_record(len, offset, reported)
+    return socketcan.is_record(buffer("", reported, offset), { len = len })
+  end
+  lu.assertEquals({ is_record(16, 8, 8), is_record(8, 8, 0), is_record(72, 8, 64), is_record(72, 8, 20) },
+    { true, true, true, true })
+  lu.assertEquals({ is_record(28, 8, 20), is_record(28, 8, 12), is_record(7, 8, 3), is_record(17, 8, 5) },
+    { true, false, false, false })
+end
+
+-- Frames that wait for a tap ------------------------------------------------------------------------------------------
+
+-- The dissector of a bus, with a reading that accepts what said.accepts has.
+local function new_frames()
+  local function noted(name, answer)
+    return function(_, ...)
+      seen.calls[#seen.calls + 1] = { name, ... }
+      if type(answer) == "function" then return answer(...) end
+      return answer
+    end
+  end
+  local function copy(frame)
+    local one = {}
+    for key, value in pairs(frame) do one[key] = value end
+    seen.frame = one
+    return one
+  end
+  local reading = { newest_key = -1, accepted_key = -1, recall_frame = function(_, frame)
+    copy(frame)
+    return said.recalled
+  end, add_frame = function(self, frame)
+    self.newest_key = frame.key
+    frame.source = { message = said.message }
+    copy(frame)
+    return said.result
+  end, report_undissected = function(_, frame) seen.undissected = frame end }
+  local wants = { shows = false, tree = false, columns = false, state = "state", is_only_pass = "only" }
+  local builder = { wanted = wants, wants = function(_, _, _, visited)
+    seen.asked = visited
+    return wants
+  end }
+  local buses = { found = {}, bus_is_per_packet = false, time = function() return 99 end,
+    of = function(number, offset) return ("bus %d %d"):format(number, offset), "is known" end }
+  local view = { show = noted "show", show_without_id = noted "show_without_id" }
+  local settings = { accepts_all = false }
+  local frames = require("yapp.host.can").new(reading, view, builder, buses, function(id, seq)
+    seen.registered = { id, seq }
+  end, settings)
+  frames:reset()
+  return frames, { reading = reading, wants = wants, buses = buses, settings = settings }
+end
+
+local DATA = "\1\2\3\4\5\6\7\8"
+
+function T.test_a_frame_is_read()
+  local frames = new_frames()
+  said.result, said.message = { is_usual = true }, {}
+  lu.assertEquals(frames:dissect(buffer(DATA, nil, 8), packet(3), nil, MOTOR + 5, false), 8)
+  local fields = require("yapp.wire.can_id").fields[MOTOR + 5]
+  lu.assertEquals({ fields.id, fields.ctrl, seen.frame.seq }, { 0x210, 1, 5 })
+  lu.assertEquals({ seen.frame.key, seen.frame.number, seen.frame.time, seen.frame.data, seen.frame.reported },
+    { 3 * frame_key.PACKET + 8, 3, 0.3, DATA, 8 })
+  lu.assertEquals({ seen.frame.visited, seen.frame.bus, seen.frame.is_bus_known, seen.frame.accepts_all },
+    { false, false, true, false })
+  lu.assertEquals({ seen.frame.wants_state, seen.frame.is_only_pass }, { "state", "only" })
+  lu.assertIs(seen.frame.can_id, fields)
+  lu.assertEquals({ seen.calls, seen.registered }, { {} }, "nothing is to be shown, and its ID is known")
+  lu.assertEquals(frames:dissect(buffer("", 0), packet(4), nil, MOTOR, false), 0)
+  lu.assertEquals({ frames:dissect(buffer("\9"), packet(4), nil, MOTOR, false), seen.frame.data }, { 1, "\9" })
+  lu.assertEquals(frames:dissect(buffer("", 8), packet(4), nil, MOTOR, false), 8)
+  lu.assertEquals({ seen.frame.data, seen.frame.reported }, { "", 8 })
+end
+
+function T.test_what_the_capture_says_of_a_frame()
+  local frames, parts = new_frames()
+  parts.buses.bus_is_per_packet, parts.buses.found = true, { offset = 40, start = 1 }
+  frames:reset()
+  said.result, said.message = { is_usual = true }, {}
+  frames:dissect(buffer(DATA, nil, 8), packet(3), nil, MOTOR, true)
+  lu.assertEquals({ seen.frame.key, seen.frame.bus, seen.frame.is_bus_known, seen.frame.time, seen.frame.accepts_all },
+    { 3 * frame_key.PACKET + 40, "bus 3 40", "is known", 99, true })
+end
+
+function T.test_what_is_shown()
+  local frames, parts = new_frames()
+  said.result, said.message = { is_usual = true }, {}
+  parts.wants.shows = true
+  local tvb, pinfo = buffer(DATA), packet(3)
+  frames:dissect(tvb, pinfo, "tree", MOTOR, false)
+  lu.assertEquals(#seen.calls, 1)
+  lu.assertIs(seen.calls[1][2], said.result)
+  lu.assertEquals({ seen.calls[1][1], seen.calls[1][6] }, { "show", "tree" })
+  parts.wants.shows, said.result = false, { is_usual = false }
+  frames:dissect(tvb, packet(4), "tree", MOTOR, false)
+  lu.assertEquals(#seen.calls, 2, "what is not usual")
+end
+
+function T.test_a_frame_that_is_visited()
+  local frames, parts = new_frames()
+  said.result, said.recalled, said.message = { is_usual = true }, { is_usual = true }, {}
+  frames:dissect(buffer(DATA), packet(3), nil, MOTOR, false)
+  lu.assertNil(seen.asked, "what is wanted is known")
+  parts.wants.shows = true
+  frames:dissect(buffer(DATA), packet(3, { visited = true }), nil, MOTOR, false)
+  lu.assertEquals({ seen.frame.visited, seen.asked }, { true, true })
+  lu.assertIs(seen.calls[1][2], said.recalled)
+  lu.assertTrue(frames:is_second_pass(2))
+  lu.assertFalse(frames:is_second_pass(3))
+end
+
+function T.test_an_unknown_id()
+  local frames = new_frames()
+  said.result = { is_usual = true }
+  frames:dissect(buffer(DATA), packet(3), nil, MOTOR + 7, false)
+  lu.assertEquals(seen.registered, { 0x210, 7 })
+  seen.registered = nil
+  frames:dissect(buffer(DATA), packet(4), nil, MOTOR + 0x4000, false)
+  lu.assertNil(seen.registered, "a Middle")
+end
+
+function T.test_a_frame_of_others()
+  local frames = new_frames()
+  said.result = nil
+  lu.assertEquals(frames:dissect(buffer(DATA, nil, 8), packet(3), nil, MOTOR, false), 0)
+  lu.assertFalse(frames.deferral.number, "no statistic runs")
+  local notes = 0
+  frames.deferral:open(function() notes = notes + 1 end)
+  frames:dissect(buffer(DATA, nil, 8), packet(4), nil, MOTOR, false)
+  lu.assertEquals({ frames.deferral.number, notes }, { 4, 1 })
+  frames.deferral:close()
+  lu.assertFalse(frames.deferral.number)
+end
+
+-- A frame of zeros may be remote: a header, a field or a column says it.
+function T.test_frames_of_zeros()
+  said.result, said.message = { is_usual = true }, {}
+  for length = 1, 8 do
+    local frames = new_frames()
+    local function dissect(info, id, with)
+      local pinfo = packet(3, with)
+      pinfo.cols.info = info
+      return frames:dissect(buffer(("\0"):rep(length), nil, 8), pinfo, nil, id or MOTOR, false)
+    end
+    lu.assertEquals(dissect("Remote Transmission Request"), 0, length)
+    lu.assertEquals(dissect("Ext. ID: 1"), length)
+    lu.assertEquals(dissect("(info)"), length, "nothing says it")
+  end
+  local frames = new_frames()
+  said.recalled = { is_usual = true }
+  local pinfo = packet(3, { visited = true })
+  pinfo.cols.info = "Remote"
+  frames:dissect(buffer(DATA), packet(9), nil, MOTOR, false)
+  lu.assertEquals(frames:dissect(buffer("\0\0"), pinfo, nil, MOTOR, false), 2, "it was taken for a fragment")
+  lu.assertEquals(frames:dissect(buffer("\0\0"), pinfo, nil, 0x210 * 0x40000, false), 0)
+end
+
+-- Frames are deferred if nothing is shown; a tap then reads their headers.
+local function deferring(shows)
+  local frames, parts = new_frames()
+  parts.wants.tree = shows or false
+  frames.deferral:open(function() end)
+  frames.deferral:allow()
+  frames.deferral:decide(nil)
+  lu.assertTrue(frames.deferral.is_undecided)
+  return frames, parts
+end
+
+function T.test_deferred_frames()
+  said.result, said.message = { is_usual = true }, {}
+  local frames = deferring()
+  local before = seen.tables.wtap_encap[125]
+  socketcan.wrap({})
+  local zeros = ("\0"):rep(8)
+  lu.assertEquals(frames:dissect(buffer(zeros, nil, 8), packet(3), nil, MOTOR, false), 8)
+  lu.assertIs(seen.tables.wtap_encap[125], before, "no wrapper any more")
+  lu.assertNil(seen.frame)
+  frames.deferral:on_header(packet(3), buffer(record(EXTENDED + MOTOR, zeros)))
+  lu.assertEquals({ seen.frame.data, seen.frame.visited, seen.frame.number }, { zeros, false, 3 })
+  lu.assertEquals({ frames.deferral.can, frames.deferral.extended, frames.deferral.number }, { 1, 1, false })
+  seen.frame = nil
+  frames:dissect(buffer(zeros, nil, 8), packet(4), nil, MOTOR, false)
+  frames.deferral:on_header(packet(4), buffer(record(EXTENDED + REMOTE + MOTOR, zeros)))
+  lu.assertNil(seen.frame, "it is remote")
+  lu.assertEquals({ frames.deferral.can, frames.deferral.extended }, { 2, 1 })
+  frames:dissect(buffer(zeros, nil, 8), packet(5), nil, MOTOR, false)
+  frames.deferral:on_header(packet(6), buffer(record(EXTENDED + MOTOR, zeros)))
+  lu.assertEquals({ seen.frame, frames.deferral.can, frames.deferral.number }, { nil, 2, false }, "of another packet")
+  frames.deferral:reset_counts()
+  lu.assertEquals({ frames.deferral.can, frames.deferral.extended }, { 0, 0 })
+end
+
+function T.test_frames_that_are_shown_are_not_deferred()
+  said.result, said.message = { is_usual = true }, {}
+  for _, what in ipairs { "tree", "columns" } do
+    local frames, parts = deferring()
+    parts.wants[what] = true
+    lu.assertEquals(frames:dissect(buffer("\0\0", nil, 8), packet(3), nil, MOTOR, false), 2)
+    local deferral = frames.deferral
+    lu.assertEquals({ seen.frame.number, deferral.defers, deferral.is_undecided }, { 3, false, false }, what)
+  end
+  local frames = deferring()
+  frames:reset()
+  lu.assertFalse(frames.deferral.is_undecided)
+end
+
+function T.test_frames_without_an_id()
+  said.result, said.message = { is_usual = true }, {}
+  local frames = deferring()
+  lu.assertEquals(frames:without_id(buffer(DATA, nil, 8), packet(3)), 8)
+  frames.deferral:on_header(packet(3), buffer(record(EXTENDED + MOTOR, DATA)))
+  lu.assertEquals({ seen.frame.data, seen.frame.accepts_all, seen.calls }, { DATA, true, {} })
+  lu.assertEquals(frames:without_id(buffer("", 8), packet(4)), 8)
+  lu.assertEquals(seen.calls[1][1], "show_without_id")
+end
+
+-- A frame that nobody accepted may be a message that is not dissected.
+function T.test_noted_frames()
+  local frames, parts = deferring(true)
+  parts.buses.bus_is_per_packet = true
+  local function note(number, word)
+    lu.assertTrue(frames.deferral:note(buffer(DATA, nil, 8), packet(number)))
+    frames.deferral:on_header(packet(number), buffer(record(word, DATA)))
+  end
+  note(3, EXTENDED + MOTOR + 5)
+  local frame = seen.undissected
+  lu.assertEquals({ frame.key, frame.number, frame.time, frame.seq, frame.data, frame.reported, frame.bus },
+    { 3 * frame_key.PACKET + 8, 3, 99, 5, DATA, 8, "bus 3 8" })
+  lu.assertEquals(frame.can_id.id, 0x210)
+  seen.undissected = nil
+  note(4, MOTOR % 0x800)
+  parts.reading.accepted_key = 5 * frame_key.PACKET
+  note(5, EXTENDED + MOTOR)
+  lu.assertNil(seen.undissected, "Decode As accepted it")
+  lu.assertEquals({ frames.deferral.can, frames.deferral.extended }, { 3, 2 })
+  lu.assertFalse(frames.deferral:note(buffer(DATA, nil, 8), packet(6, { len = 40 })), "no record of SocketCAN")
+end
+
+function T.test_the_dissector_of_the_table()
+  local frames, parts = new_frames()
+  said.result, said.message = { is_usual = true }, {}
+  local calls = { begun = 4, ended = 3 }
+  parts.settings.accepts_all = true
+  lu.assertEquals(frames:of_table(calls)(buffer(DATA), packet(3, { match_uint = MOTOR }), "tree"), 8)
+  lu.assertEquals({ calls, seen.frame.accepts_all, seen.frame.can_id.id }, { { begun = 5, ended = 4 }, true, 0x210 })
+end
+
+return T
