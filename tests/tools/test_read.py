@@ -7,6 +7,7 @@ import pyarrow as pa
 import pytest
 import yapp_tables as yt
 from running import FAKE, motor_row
+from yapp_tables.config import tshark_of
 
 
 def read(path, **options):
@@ -94,6 +95,16 @@ def test_words_that_do_not_exist_are_answered_by_those_that_do(make_capture):
     # A message that the catalogue has, and this capture has not.
     with pytest.raises(yt.MessageError, match="has no decoded Note"):
         read(capture, messages=["motor", "note"])["note"]
+
+
+def test_one_text_is_a_list_of_one(make_capture):
+    """Not its letters, as Python would have it."""
+    capture = make_capture("flight.pcapng", motor=[motor_row(0)])
+    flight = read(capture, messages="motor", columns="rpm_measured", options="yapp.motor_ids:0x210")
+    assert flight["motor"].schema.names == ["time", "rpm_measured"]
+    assert tshark_of(options="yapp.late:3").options == ("yapp.late:3",)
+    with pytest.raises(yt.MessageError, match="no message 'motr'"):
+        read(capture, messages="motr")
 
 
 def test_the_hint_names_controllers_where_nobody_did(make_capture):

@@ -16,6 +16,7 @@ bad: list[str] = [result.capture for result in yt.convert("x/*", "out", to="parq
 SLIPS = {
     'yt.convert("x", "out", to="parket")': "expected \"Literal['parquet'",
     'yt.convert("x", "out", optionz=["x"])': 'did you mean "options"?',
+    'yt.Config("x", "parket")': "expected \"Literal['parquet'",
     'yt.read("x", options=3)': "Sequence[str]",
     'next(yt.read_many("x", filters="y"))': 'did you mean "filter"?',
     'yt.report("x", overlays=True)': 'did you mean "overlay"?',

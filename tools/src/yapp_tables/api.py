@@ -27,7 +27,8 @@ HOW = """
 
     options: preferences for tshark, ["yapp.motor_ids:0x210,0x211"]; sources: names of controllers, one for all IDs of
     a controller, {"can0/0x210+0x200": "left"}; filter: a display filter, only these messages are taken; profile: one
-    of Wireshark; plugin: yapp.lua where it is not installed; tshark: the program where it is not in PATH.
+    of Wireshark; plugin: yapp.lua where it is not installed; tshark: the program where it is not in PATH. One text is
+    a list of one: options="yapp.motor_ids:0x210".
     """
 Function = TypeVar("Function")
 

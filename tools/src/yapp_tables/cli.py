@@ -150,7 +150,7 @@ def _config(given: argparse.Namespace) -> Config:
     tshark = Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile)
     aircraft = read_fleet(given.fleet) if given.fleet else ()
     partition = getattr(given, "partition", None)
-    return Config(str(given.out), getattr(given, "to", ""), tshark, aircraft, partition=partition)
+    return Config(str(given.out), getattr(given, "to", "parquet"), tshark, aircraft, partition=partition)
 
 
 def _convert(given: argparse.Namespace) -> int:

@@ -56,7 +56,7 @@ class Config:
     """
 
     out: str
-    to: str = "parquet"
+    to: Kind = "parquet"
     tshark: Tshark = field(default_factory=Tshark)
     fleet: tuple[Aircraft, ...] = ()
     run: str = ""
@@ -78,11 +78,16 @@ class Config:
         return self.tshark, None
 
 
+def listed(texts: Sequence[str] | None) -> Sequence[str]:
+    """Return texts as a list: one text is a list of one, as a user means it, not its letters."""
+    return [texts] if isinstance(texts, str) else texts or ()
+
+
 def tshark_of(**how: Unpack[How]) -> Tshark:
     """Return a Tshark of what a user gave; see `yapp_tables.read`. Raises TypeError for another keyword."""
     if strange := how.keys() - How.__annotations__.keys():
         raise TypeError(f"no keyword {sorted(strange)[0]!r}; known keywords: {', '.join(How.__annotations__)}")
-    options, names = tuple(how.get("options") or ()), how.get("sources")
+    options, names = tuple(listed(how.get("options"))), how.get("sources")
     if names:
         options += (f"yapp.sources:{', '.join(f'{key}={name}' for key, name in names.items())}",)
     program, plugin = (None if path is None else str(path) for path in (how.get("tshark"), how.get("plugin")))

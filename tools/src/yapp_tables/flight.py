@@ -10,6 +10,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from .config import listed
 from .dataset import flight_id
 from .errors import CaptureError, MessageError, count_of, need
 from .html_table import html_table
@@ -62,6 +63,7 @@ class Flight(Mapping[str, pa.Table]):
         found = present(export)
         if not found:
             raise CaptureError(nothing_in(capture, export))
+        messages, columns = listed(messages), None if columns is None else listed(columns)
         _check_words(catalogue(export.fields), messages, columns)
         self.messages: dict[str, Message] = {each.name: each for each in found if not messages or each.name in messages}
         self._titles = {name: str(entry["title"] or name) for name, entry in export.fields["messages"].items()}
