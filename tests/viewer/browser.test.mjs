@@ -212,7 +212,7 @@ test("without a network the page opens captures; versions are not mixed", async 
     const worker = await navigator.serviceWorker.ready;
     await worker.update();
     const { installing } = worker;
-    while (installing && !/installed|redundant/.test(installing.state)) await new Promise((done) => { setTimeout(done, 50); });
+    while (installing?.state === "installing") await new Promise((done) => { setTimeout(done, 50); });
     return installing?.state;
   });
   const versions = async (page) => [await page.evaluate(() => document.body.dataset.version ?? "first"),
@@ -221,6 +221,9 @@ test("without a network the page opens captures; versions are not mixed", async 
   let page = await visit(own.url, null, context);
   await page.evaluate(async () => { while ((await navigator.serviceWorker.ready).active.state !== "activated") await new Promise((done) => { setTimeout(done, 50); }); });
   assert.equal(await page.textContent("#notices"), "");
+
+  await page.reload(); // from now on the worker answers for its server
+  await page.waitForSelector("body[data-ready]");
 
   // A server on which half of a new version has arrived.
   Object.assign(own.changed, { "page.js": next["page.js"], "offline.js": offline(next) });
