@@ -14,6 +14,7 @@ const DAMAGES = {
   "-20": "its compressed data is damaged",
 };
 const UNOPENED = "Wireshark does not know this file as a capture";
+const GZIP = " (the names of its buses may be missing; zcat unpacks it as far as it goes)";
 const COMPRESSIONS = [[0x28b52ffd, "zstd"], [0x04224d18, "lz4"]];
 
 // A list of an embind vector, which is freed.
@@ -111,8 +112,9 @@ export class Engine {
     this.session = new this.lib.DissectSession(path);
     const { code, error, summary } = this.session.load();
     if (error) throw new Error(`${name}: ${code === 1 ? UNOPENED : error}`);
+    const damage = DAMAGES[code] || `Wireshark could not read on (error ${code})`;
     return { count: summary.packet_count, type: summary.file_type, size, start: summary.start_time,
-      damage: code === 0 ? "" : DAMAGES[code] || `Wireshark could not read on (error ${code})` };
+      damage: code === 0 ? "" : magic >>> 16 === 0x1f8b ? damage + GZIP : damage };
   }
 
   close() {

@@ -80,6 +80,7 @@ export class List {
       ariaRowIndex: index + 2, ariaSelected: isChosen }, ...(row?.cells ?? []).map((text) => cell(text, "gridcell")));
     element.style.transform = `translateY(${top}px)`;
     if (row?.background > 1) Object.assign(element.style, { background: css(row.background), color: css(row.foreground) });
+    element.classList.toggle("pale", (row?.background & 0xff00) > 0xa000);
     return element;
   }
 

@@ -126,8 +126,7 @@ async function open(file) {
   if (state.hasOpened) await start(); // what a capture was says nothing of the next one
   state.hasOpened = true;
   const opened = await busy(`Opening ${name}`, client.call("open", name, blob));
-  for (const id of ["list", "tree", "bytes"]) $(id).hidden = !opened;
-  $("welcome").hidden = Boolean(opened);
+  document.body.classList.toggle("opened", Boolean(opened));
   if (!opened) return false;
   state.opened = opened;
   const size = opened.size < 1e6 ? `${Math.ceil(opened.size / 1e3)} kB` : `${(opened.size / 1e6).toFixed(1)} MB`;

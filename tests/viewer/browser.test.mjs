@@ -11,39 +11,12 @@ import { after, before, test } from "node:test";
 import { pathToFileURL } from "node:url";
 import { chromium } from "../../web/node_modules/playwright-core/index.mjs";
 import { offline, TOP } from "../../tools/viewer.mjs";
+import { serve, stop, TYPES } from "./server.mjs";
 
-const TYPES = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css" };
 const DISK = pathToFileURL(join(TOP, "dist/viewer-offline/index.html")).href;
 const scratch = mkdtempSync(join(tmpdir(), "viewer-"));
-const servers = [], browsers = [];
+const browsers = [];
 let browser, http;
-
-// A server of a folder, which may also be a browser's proxy.  asked: "METHOD URL, N bytes" of each request.
-// changed: { name: content }, other files than those in the folder.
-async function serve(folder, changed = {}) {
-  const asked = [];
-  const own = createServer((request, response) => {
-    const { "content-length": sent = 0, "transfer-encoding": coding = "" } = request.headers;
-    asked.push(`${request.method} ${request.url}, ${coding || sent} bytes`);
-    const path = new URL(request.url, "http://x").pathname.slice(1) || "index.html";
-    try {
-      const content = changed[path] ?? readFileSync(join(folder, path));
-      response.writeHead(200, { "Content-Type": TYPES[extname(path)] ?? "application/octet-stream" }).end(content);
-    } catch { response.writeHead(404).end(); }
-  });
-  own.on("connect", ({ url }, socket) => { asked.push(`CONNECT ${url}`); socket.destroy(); });
-  await new Promise((ready) => own.listen(0, "127.0.0.1", ready));
-  servers.push({ server: own });
-  return { server: own, url: `http://127.0.0.1:${own.address().port}/`, changed, asked };
-}
-
-// Stop servers that serve made.
-function stop(...all) {
-  for (const { server } of all) {
-    server.close();
-    server.closeAllConnections();
-  }
-}
 
 async function launch(...args) {
   const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium";
@@ -56,7 +29,7 @@ before(async () => {
   browser = await launch();
 });
 
-after(async () => { await Promise.all(browsers.map((one) => one.close())); stop(...servers); });
+after(async () => { await Promise.all(browsers.map((one) => one.close())); stop(); });
 
 // A page at a link, when it is ready; page.asked has the hosts that it asked for something.
 // context: of a browser, whose cookies and caches the page has; without it the page has none
@@ -239,7 +212,7 @@ test("without a network the page opens captures; versions are not mixed", async 
   await page.reload();
   await page.waitForSelector("body[data-ready]");
   assert.deepEqual(await versions(page), ["first", "first"]);
-  stop(own);
+  stop(own.server);
   await page.close();
   page = await visit(own.url, null, context);
   assert.deepEqual(await versions(page), ["next", "next"]);
@@ -250,6 +223,19 @@ test("without a network the page opens captures; versions are not mixed", async 
   await status(page, "1,483 of 1,483");
   assert.equal((await page.evaluate(() => caches.keys())).length, 1, "the first version is gone");
   await context.close();
+});
+
+test("on paper the rows in sight stand below each other, whatever was scrolled", async () => {
+  const page = await visit(`${http}#file=flight.pcapng&frame=719&statistic=check`);
+  await page.waitForSelector('#answer h2:has-text("FAILED")');
+  await page.emulateMedia({ media: "print" });
+  const [head, last] = await page.evaluate(() => {
+    document.getElementById("list").scrollTop = 0; // as a printer sees it
+    return [".head", ".row:last-child"].map((one) => document.querySelector(one).getBoundingClientRect().y);
+  });
+  assert.ok(last > head && last < head + 1000, `${head} ${last}`);
+  assert.equal(await page.isVisible("#filters"), false);
+  await page.close();
 });
 
 test("400 pixels are wide enough", async () => {
@@ -264,11 +250,15 @@ test("the gate's report opens the capture at the rule that failed", async () => 
   cpSync(join(TOP, "docs/flight.pcapng"), capture);
   assert.throws(() => execFileSync(join(TOP, "ci/yapp-gate.sh"), ["--rules", "fault=0,motor.rate=5", "--report", folder, capture],
     { stdio: "pipe" }), ({ status: code }) => code === 20);
-  const page = await visit(pathToFileURL(join(folder, "report.html")).href);
-  await page.waitForSelector('#answer h2:has-text("FAILED")');
-  await chosenRow(page, "719");
-  assert.ok(basename(await page.title()).startsWith("my_flight.pcapng"));
-  await page.close();
+  // From a disk, and from a server that shows what a job kept.
+  for (const link of [pathToFileURL(join(folder, "report.html")).href, `${(await serve(folder)).url}report.html`]) {
+    const page = await visit(link);
+    await page.waitForSelector('#answer h2:has-text("FAILED")');
+    await chosenRow(page, "719");
+    assert.ok(basename(await page.title()).startsWith("my_flight.pcapng"));
+    assert.deepEqual(page.wrong, []);
+    await page.close();
+  }
 });
 
 // Firefox without a driver: the server adds a script to the page, which reports what the page shows.
