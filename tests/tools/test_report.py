@@ -175,7 +175,7 @@ def incidents_of(browser):
     """The rows of the table of incidents, those that are unfolded too, with exact begin and end in seconds."""
     script = """return [...document.querySelectorAll("#incidents tbody tr")].map((row) => ({
       part: row.className === "part", fault: row.className === "fault", cells: [...row.cells].map((cell) => cell.textContent),
-      begin: Number(row.cells[2].dataset.begin), end: row.cells[2].dataset.end }))"""
+      begin: Number(row.dataset.begin), end: row.dataset.end }))"""
     return browser.execute_script(script)
 
 
@@ -388,14 +388,18 @@ def test_a_colour_is_a_controller_and_each_value_is_named_once(example_browser):
         """const [query] = arguments; return [...document.querySelectorAll(query)].map(one => one.textContent.trim())"""
     )
     sources = example_browser.execute_script(script, "#sources label")
-    assert sorted(sources) == [
-        "can0 0x000", "can1 0x000", "left (can0)", "left (can0), Health", "right (can1)", "right (can1), Health",
-    ]  # fmt: skip
+    assert sorted(sources) == ["can0 0x000", "can1 0x000", "left (can0)", "right (can1)"]
     script_colours = (
         "return [...document.querySelectorAll('#sources i')].map(one => getComputedStyle(one).backgroundColor)"
     )
     colours = dict(zip(sources, example_browser.execute_script(script_colours), strict=True))
-    assert colours["left (can0)"] == colours["left (can0), Health"] != colours["right (can1)"]
+    assert colours["left (can0)"] != colours["right (can1)"]
+    lines = """return [...document.querySelectorAll(".plot")].flatMap(plot => plot.data).filter(({mode}) => mode === "lines")
+        .map(({name, line}) => [name, line.color])"""
+    drawn = example_browser.execute_script(lines)
+    left = {colour for name, colour in drawn if name.endswith((", left", "can0 0x200"))}
+    assert left == {colours["left (can0)"]}
+    assert any(name.endswith("can0 0x200") for name, _ in drawn)
     fields = example_browser.execute_script(script, "figcaption b")
     assert fields.count("Torque IQ Measured/A") == fields.count("RPM Measured/RPM") == fields.count("DC Voltage/V") == 1
 
@@ -446,7 +450,7 @@ def test_what_nobody_saw_before_stands_in_the_page(make_capture, yapp_tables, tm
         assert rows["Motor overcurrent"][6] == f"Motor Data, {HELP}"
         assert rows["undefined value: Motor mode 0x11"][6] == "2 times, Motor Data"
         assert rows["undefined value: Motor mode 0x12"][6] == "Motor Data"
-        assert rows["bytes of no frame"][6] == "2 times, 12 bytes, unknown message"
+        assert rows["bytes of no frame"][6] == "2 times, 12 bytes"
         assert rows["bytes of no frame"][1] == "ttyUSB0"
         assert rows["never came"][1] == "aft (can0)"
         (row,) = rows_of(browser, "summary")
@@ -601,7 +605,7 @@ def test_the_first_lines_name_who_what_and_when(eight_browser, eight):
     assert more[0].endswith("until the end")
     assert any(
         re.match(
-            r"M6 \(can1\): DC Current 2\.[4-8] times the others' for 0\.[4-8] s, from 0\.[2-4]\d* s before Motor overcurrent",
+            r"M6 \(can1\): DC Current 3\d(\.\d)? A, 2\.[4-8] times the others' for 0\.[4-8] s, from 0\.[2-4]\d* s before Motor overcurrent",
             text,
         )
         for text in more
@@ -626,6 +630,8 @@ def test_the_matrix_shades_who_is_far_from_the_others(eight_browser):
     assert ("M3", "Silences") in far
     assert {row for row, _ in far} == {"M3", "M6", "M8"}
     assert matrix["M1 (can0)"]["Faults"][0] == "0"
+    # Incidents count: a fault and its state, Motor Data and Health that fall silent.
+    assert matrix["M6 (can1)"]["Faults"][0] == matrix["M3 (can0)"]["Silences"][0] == "▲ 1"
 
 
 def test_the_matrix_against_the_truth(eight_browser, eight):
@@ -647,7 +653,7 @@ def test_a_click_on_the_matrix_shows_one_controller(eight_browser):
         shown = {one["name"].rpartition(", ")[2] for one in traces(eight_browser, ", ") if one["visible"]}
         assert shown == {"M6", "can1 0x201"}
         checked = "return [...document.querySelectorAll('#sources input:checked')].map(one => one.parentNode.textContent.trim())"
-        assert eight_browser.execute_script(checked) == ["M6 (can1)", "M6 (can1), Health"]
+        assert eight_browser.execute_script(checked) == ["M6 (can1)"]
         eight_browser.execute_script("document.querySelector('#matrix td[data-figure=\"motor.dc_current\"]').click()")
         top = "return document.querySelector('figure[data-key=\"motor.dc_current\"]').getBoundingClientRect().top"
         assert 0 <= eight_browser.execute_script(top) < 120

@@ -144,7 +144,9 @@ def surges(found: list[Source], values: list[Array], column: Column) -> list[Rec
         if runs:
             begin, end = runs[0]
             times = float(np.median(grid[number][begin:end] / np.maximum(others[begin:end], 1e-9)))
-            text = f"{column.title} {times:.1f} times the others' for {(end - begin) * every:.2g} s"
+            peak = float(np.nanmax(grid[number][begin:end]))
+            text = f"{column.title} {peak:.3g} {column.unit}, {times:.1f} times the others'"
+            text += f" for {(end - begin) * every:.2g} s"
             more = f", and {len(runs) - 1} times more" if len(runs) > 1 else ""
             about = {"times": times, "end": end * every, "length": (end - begin) * every}
             said.append(_said(source, text + more, begin * every) | about)

@@ -6,7 +6,7 @@
   const HEIGHT = 190, CLOUD = 340, ROW = 18, HEAD = 18, AXIS = 24; // pixels
   const LETTER = 6.5, LEAST = 3; // pixels: of a letter in a bar, of the shortest bar
   const POINTS = 6000, FEWER = 4, PAUSE = 150; // and a part of them, until no zoom follows for so many milliseconds
-  const ROWS = 40, MORE = 4; // of a table, incidents that are told at the top
+  const ROWS = 40; // of a table
   const AMBER = 0.1; // of the way between limits
   const PRINTED = 1000; // pixels: the width of a printed picture
   const NARROW = innerWidth < 700;
@@ -25,7 +25,6 @@
     made.append(...children);
     return made;
   };
-  const count = (n, one) => `${n} ${one}${n === 1 ? "" : "s"}`;
   const pale = (textContent) => make("span", { className: "pale", textContent });
   function patch(source) {
     const made = make("i", { className: "patch" });
@@ -72,73 +71,14 @@
     show([begin - room, end + room]);
     byId("sources").scrollIntoView({ block: "start" });
   }
-  const zooms = (textContent, begin, end) => make("button", { type: "button", className: "row", textContent,
-    onclick: () => zoomTo(begin, end ?? data.length) });
-
-  // A row for each incident; its button zooms to it, another unfolds what it is made of.
-  function incidents() {
-    const table = byId("incidents");
-    table.closest(".scroll").hidden = !data.incidents.length;
-    const head = table.createTHead().insertRow();
-    for (const name of ["what", "source", "begin", "seconds", "UTC", "duration", "details"]) head.append(make("th", { textContent: name }));
-    const body = table.createTBody();
-    const cells = (line, lead, row, end) => {
-      const length = end === null ? `still active, ${duration(data.length - row.begin)}` : end > row.begin ? duration(end - row.begin) : "";
-      line.insertCell().append(lead);
-      const times = [clock(row.begin), seconds(row.begin), utc(row.begin), length];
-      [row.label ?? row.source, ...times].forEach((text, at) => {
-        const cell = line.insertCell();
-        cell.textContent = text;
-        cell.className = at ? "number" : "";
-        if (at === 1) Object.assign(cell.dataset, { begin: row.begin, end: end ?? "" });
-      });
-    };
-    for (const incident of data.incidents) {
-      const line = body.insertRow(), [first] = incident.rows;
-      line.className = incident.is_fault ? "fault" : "";
-      cells(line, zooms(incident.what, incident.begin, incident.until), incident, incident.until);
-      const details = line.insertCell();
-      details.className = "long";
-      const about = (row) => [row.count > 1 ? `${row.count} times` : "", row.bytes ? `${row.bytes} bytes` : "", row.message, row.help ?? ""]
-        .filter(Boolean).join(", ");
-      if (incident.rows.length === 1) { details.textContent = about(first); continue; }
-      const parts = incident.rows.map((row) => {
-        const part = body.insertRow();
-        part.className = "part";
-        part.hidden = true;
-        cells(part, zooms(row.what, row.begin, row.end), row, row.end);
-        part.insertCell().textContent = about(row);
-        return part;
-      });
-      const unfold = make("button", { type: "button", textContent: count(parts.length, "event") });
-      unfold.setAttribute("aria-expanded", "false");
-      unfold.onclick = () => {
-        parts.forEach((part) => { part.hidden = !part.hidden; });
-        unfold.setAttribute("aria-expanded", String(!parts[0].hidden));
-      };
-      details.append(unfold);
-    }
-  }
-
-  // What was not decoded, what went wrong first, and which controller is different.
-  function verdict() {
-    const said = [], [first] = [...data.incidents.filter((each) => each.is_fault), ...data.incidents];
-    const bad = (textContent) => make("b", { className: "bad", textContent });
-    if (data.undecoded) said.push(bad(`${data.undecoded}.`), " ");
-    if (first) {
-      const length = first.until === null ? ", until the end" : first.until > first.begin ? `, for ${duration(first.until - first.begin)}` : "";
-      said.push(bad(first.what), " on ", make("b", { textContent: first.label }), ` at ${when(first.begin)}${length}. `,
-        make("span", { className: "pale", textContent: `${count(data.incidents.length, "incident")} in all.` }));
-    } else if (!data.differs.length) {
-      said.push(data.left_out.length ? "Nothing in what was decoded." : "Nothing.");
-    }
-    byId("verdict").append(...said);
-    const more = data.incidents.filter((each) => each !== first && each.is_serious).slice(0, MORE).map((each) => {
-      const until = each.until === null || each.until >= data.length - 1 ? "until the end" : `for ${duration(each.until - each.begin)}`;
-      return make("li", { className: "bad" }, zooms(`${each.label}: ${each.what} at ${clock(each.begin)}, ${until}`, each.begin, each.until));
-    });
-    byId("differs").append(...more, ...data.differs.map(({ label, text, at, end }) => make("li", {}, zooms(`${label}: ${text}`, at, end ?? data.length))));
-  }
+  document.addEventListener("click", ({ target }) => {
+    const row = target.closest("button.row")?.closest("[data-begin]"), unfold = target.closest("[aria-expanded]");
+    if (row) zoomTo(Number(row.dataset.begin), Number(row.dataset.end || data.length));
+    if (!unfold) return;
+    let part = unfold.closest("tr");
+    while ((part = part.nextElementSibling)?.className === "part") part.hidden = !part.hidden;
+    unfold.setAttribute("aria-expanded", String(unfold.getAttribute("aria-expanded") === "false"));
+  });
 
   // ---- samples
 
@@ -189,7 +129,8 @@
   // ---- pictures
 
   const whole = [0, Math.max(data.length, 0.001)];
-  const figures = [], hidden = new Set(), known = [];
+  const figures = [], hidden = new Set(), known = []; // hidden: controllers
+  const isHidden = (source) => hidden.has(data.sources[source].controller);
   let blob, seen = whole, isPrinting = false;
   const timesOf = (number) => (known[number] ??= unfoldTimes(data.times[number]));
   let shownWidth = 0; // to ask for it costs a layout of the page
@@ -247,7 +188,7 @@
     const drawn = about.lines.map((line) => [line, ...thin(samples(line).times, line.values, seen, room)]);
     let bottom = Infinity, top = -Infinity;
     for (const [line, , y] of drawn) {
-      if (hidden.has(line.source)) continue;
+      if (isHidden(line.source)) continue;
       for (const value of y) { if (value < bottom) bottom = value; if (value > top) top = value; }
     }
     if (bottom > top) [bottom, top] = [0, 1];
@@ -256,12 +197,12 @@
     }
     const space = (top - bottom) * 0.06 || Math.abs(top) * 0.05 || 1, span = [bottom - space, top + space];
     const traces = drawn.map(([{ source, name, dash }, x, y]) => ({ type: "scatter", mode: "lines", name: `${name}, ${data.names[source]}`, x, y,
-      opacity: data.sources[source].flight ? 0.55 : 1, visible: !hidden.has(source), connectgaps: false,
+      opacity: data.sources[source].flight ? 0.55 : 1, visible: !isHidden(source), connectgaps: false,
       line: { color: colour(source), dash: dash ?? "solid", width: dash ? 1 : 1.5 },
       hovertemplate: `%{y:.5~g} ${about.unit}<extra>${data.sources[source].label}${dash ? ", commanded" : ""}</extra>` }));
     for (const { source, name, x, what } of about.marks) {
       traces.push({ type: "scatter", mode: "markers", name: `${name}, ${data.names[source]}`, x, y: x.map(() => span[0] + space), text: what,
-        visible: !hidden.has(source), marker: { symbol: "x-thin-open", size: 9, color: colour(source), line: { width: 2, color: colour(source) } },
+        visible: !isHidden(source), marker: { symbol: "x-thin-open", size: 9, color: colour(source), line: { width: 2, color: colour(source) } },
         hovertemplate: `%{text}<extra>${data.sources[source].label}</extra>` });
     }
     return [traces, layout(HEIGHT, overTime(), { range: span, fixedrange: true, nticks: 6 },
@@ -273,7 +214,7 @@
     const ink = getComputedStyle(document.body).color;
     const traces = about.lines.map((line) => {
       const { times: x, values: y } = samples(line), odd = new Set(line.odd), each = (isOdd, not) => Array.from(y, (_, i) => odd.has(i) ? isOdd : not);
-      return { type: "scatter", mode: "markers", name: data.sources[line.source].label, x, y, visible: !hidden.has(line.source),
+      return { type: "scatter", mode: "markers", name: data.sources[line.source].label, x, y, visible: !isHidden(line.source),
         marker: { color: colour(line.source), opacity: each(1, 0.35), size: each(8, 4), symbol: each("diamond", "circle"), line: { color: ink, width: each(1, 0) } },
         hovertemplate: `%{y:.5~g} ${about.unit} at %{x:.5~g}<extra>${data.sources[line.source].label}</extra>` };
     });
@@ -306,7 +247,7 @@
       }
       y++;
     }
-    const traces = [...bars].map(([source, bar]) => ({ type: "bar", orientation: "h", width: 0.88, name: data.names[source], visible: !hidden.has(source), ...bar,
+    const traces = [...bars].map(([source, bar]) => ({ type: "bar", orientation: "h", width: 0.88, name: data.names[source], visible: !isHidden(source), ...bar,
       marker: { color: colour(source), line: { width: 1, color: getComputedStyle(document.body).backgroundColor } },
       textposition: "auto", insidetextanchor: "start", textangle: 0, constraintext: "none", textfont: { size: 11 },
       hovertemplate: "%{customdata[0]}: %{customdata[1]}<br>%{customdata[2]}<extra>%{fullData.name}</extra>" }));
@@ -438,14 +379,15 @@
     if (from || to) show(to > from ? [from, to] : [from - 5, from + 5]);
   }
 
-  // The sources by name and colour; they stay in sight while the pictures pass.
-  const ticks = [];
+  // The controllers by name and colour; they stay in sight while the pictures pass.
+  const ticks = new Map();
   function chips() {
     const box = byId("sources");
-    data.sources.forEach(({ label }, source) => {
+    data.sources.forEach(({ label, controller }, source) => {
+      if (ticks.has(controller)) return;
       const tick = make("input", { type: "checkbox", checked: true });
-      tick.onchange = () => { if (tick.checked) hidden.delete(source); else hidden.add(source); redraw(); };
-      ticks.push(tick);
+      tick.onchange = () => { if (tick.checked) hidden.delete(controller); else hidden.add(controller); redraw(); };
+      ticks.set(controller, tick);
       box.append(make("label", {}, tick, " ", patch(source), ` ${label}`));
     });
     box.append(make("button", { type: "button", textContent: "all", onclick: () => only(null) }),
@@ -456,10 +398,10 @@
   let single = null;
   function only(controller) {
     single = controller;
-    data.sources.forEach((source, at) => {
-      ticks[at].checked = controller === null || source.controller === controller;
-      if (ticks[at].checked) hidden.delete(at); else hidden.add(at);
-    });
+    for (const [who, tick] of ticks) {
+      tick.checked = controller === null || who === controller;
+      if (tick.checked) hidden.delete(who); else hidden.add(who);
+    }
     document.querySelectorAll("tr[data-controller]").forEach((row) => row.classList.toggle("single", Number(row.dataset.controller) === controller));
     redraw();
   }
@@ -479,8 +421,6 @@
   byId("partial").hidden = !doubts.length;
   byId("partial").textContent = doubts.join(" · ");
   byId("axis").textContent = `seconds since ${utc(0)} UTC`;
-  verdict();
-  incidents();
   chips();
   await new Promise((done) => document.addEventListener("DOMContentLoaded", done));
   await new Promise((done) => requestAnimationFrame(() => setTimeout(done))); // the text is seen first

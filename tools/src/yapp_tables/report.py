@@ -22,40 +22,15 @@ from .dataset import plain_name
 from .errors import SetupError
 from .flight import Flight
 from .html_table import html_table
+from .incidents import TOGETHER, besides, fault_rows, flag_of, joined, other_rows, table, undecoded, verdict
 from .limits import Limits
 from .matrix import Matrix
 from .multiples import Multiples
 from .pictures import MARKS, Pictures, Record, packed
-from .tables import Column
 from .undecoded import source_name
 
-# What an event other than a fault means; those of the first kind are told one by one, the others counted for a source,
-# under their own name where none stands here.
-SINGLE = {
-    "reboot": "reboot",
-    "silence": "silence",
-    "absent": "never came",
-    "shared": "two controllers share this ID: its other events are left out",
-    "jump": "the controller's clock jumped ahead",
-    "clock": "the capture's clock went back",
-}
-COUNTED = {
-    "missing": "messages missing by Seq No",
-    "dropped": "packets dropped while capturing",
-    "stale": "the controller's time stood still",
-    "crc": "bad CRC",
-    "incomplete": "lost frames",
-    "unfinished": "cut off by the end of the capture",
-    "skipped": "bytes of no frame",
-    "invalid": "undefined value",
-}
 VALUES = {"message": "message", "title": "field", "unit": "unit", "source": "source"}
 VALUES |= {name: name for name in ("min", "mean", "max")}
-ELSEWHERE = ("fault", "unknown")  # these have rows of their own
-# Events of one controller that are no further apart than this, in seconds, are one incident.
-TOGETHER = 2.0
-INCIDENT = ("fault", "reboot", "silence", "stale")
-SERIOUS = ("fault", "reboot", "silence", "absent", "shared")  # these come first
 
 
 def write_reports(
@@ -105,6 +80,8 @@ def write_report(flights: Sequence[Flight], path: Path, limits: Limits | None = 
     found = report.data()
     blob = found.pop("blob")
     parts = {"/*MATRIX*/": report.matrix.html(), "/*MULTIPLES*/": report.multiples.html(report.matrix.labels)}
+    parts |= {"/*UNDECODED*/": undecoded(found), "/*VERDICT*/": verdict(found)}
+    parts |= {"/*BESIDES*/": besides(found), "/*INCIDENTS*/": table(found)}
     parts |= {"/*VALUES*/": html_table(VALUES, [row for flight in flights for row in _values(flight)])}
     heads = {name: head for flight in flights for name, head in flight.heads.items()}
     parts |= {"/*SUMMARY*/": html_table(heads, [row for flight in flights for row in flight.sources()])}
@@ -133,7 +110,7 @@ class Report:
         incidents: list[Record] = []
         for flight, start in zip(self.flights, self.starts, strict=True):
             found = self._add(flight, start, f"{flight.name}: " if len(self.flights) > 1 else "")
-            incidents += _incidents(found)
+            incidents += joined(found)
             rows += found
             self.pictures.flight += 1
         first, pictures = self.flights[0], self.pictures
@@ -144,7 +121,7 @@ class Report:
         for row in incidents:
             self._lead(row)
         self._before(incidents)
-        self._tables(rows)
+        self._tables(rows, incidents)
         left_out = [text for flight in self.flights for text in flight.left_out]
         return {
             "name": " and ".join(flight.name for flight in self.flights),
@@ -182,13 +159,13 @@ class Report:
             if fault := next(near, None):
                 row["text"] += f", from {fault['begin'] - row['at']:.2g} s before {fault['rows'][0]['what']}"
 
-    def _tables(self, rows: list[Record]) -> None:
-        """The matrix and the small multiples."""
+    def _tables(self, rows: list[Record], incidents: list[Record]) -> None:
+        """The matrix, which counts incidents, and the small multiples."""
         sources, faults = self.pictures.sources, [row for row in rows if row["kind"] == "fault"]
         self.matrix = Matrix(self.pictures.parts, sources, self.limits)
-        known = [row for row in rows if row["number"] is not None]
+        known = [row for row in incidents if row["number"] is not None]
         for title, kind in (("Faults", "fault"), ("Silences", "silence"), ("Reboots", "reboot")):
-            self.matrix.count(title, [row for row in known if row["kind"] == kind])
+            self.matrix.count(title, [row for row in known if any(one["kind"] == kind for one in row["rows"])])
         self.matrix.measure()
         bands: dict[int, list[tuple[float, float]]] = {}
         for row in faults:
@@ -211,17 +188,17 @@ class Report:
         """Draw a flight; returns what went wrong."""
         self.pictures.start = start
         self.end = max(self.end, max(pc.max(flight[name]["time"]).value - start for name in flight) / 1e9)
-        table = flight.events.set_column(0, "at", flight.events["time"].cast(pa.int64()))
-        events: list[Record] = table.to_pylist()
+        own = flight.events.set_column(0, "at", flight.events["time"].cast(pa.int64()))
+        events: list[Record] = own.to_pylist()
         for event in events:
             event["at"] = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
-            event["title"] = flight.title(event["message"])
+            event["title"] = flight.title(event["message"]) if event["id"] is not None else ""
             event["who"] = prefix + source_name(event)
         # First the message that says most.
         for message in sorted(flight.messages.values(), key=lambda message: -len(message.columns)):
-            flags = (_flag(flight, event) for event in events if event["message"] == message.name)
+            flags = (flag_of(flight, event) for event in events if event["message"] == message.name)
             self.pictures.add(message, flight[message.name], {flag.name for flag in flags if flag}, prefix)
-        rows = _faults(flight, events, self.end) + _others(flight, events)
+        rows = fault_rows(flight, events, self.end) + other_rows(flight, events)
         self._marks([row for row in rows if row["kind"] != "fault"])
         return rows
 
@@ -249,105 +226,6 @@ def _signals(flight: Flight) -> int:
         * flight[name].group_by(["bus", "id"]).aggregate([]).num_rows
         for name, message in flight.messages.items()
     )
-
-
-def _flag(flight: Flight, event: Record) -> Column | None:
-    """The column of the flag that an event is about."""
-    known = flight.messages.get(event["message"])
-    if known is None or event["kind"] != "fault":
-        return None
-    flags = (column for column in known.columns.values() if column.role == "flag")
-    return next((column for column in flags if column.name.endswith(f"_{event['flag']}")), None)
-
-
-def _row(event: Record, what: str, **more: object) -> Record:
-    about = {"kind": event["kind"], "what": what, "source": event["who"], "bus": event["bus"], "id": event["id"]}
-    about |= {
-        "message": event["title"],
-        "begin": event["at"],
-        "end": event["at"],
-        "length": None,
-        "help": event["help"],
-    }
-    return about | {"count": 1, "bytes": None, "at": [event["at"]]} | more
-
-
-def _faults(flight: Flight, events: list[Record], end: float) -> list[Record]:
-    """Each fault from raised to cleared, or to the end of the capture where `end` is None."""
-    rows: list[Record] = []
-    open_rows: dict[tuple[str, str, str], Record] = {}
-    for event in events:
-        if event["kind"] != "fault":
-            continue
-        key = event["who"], event["message"], event["flag"]
-        if event["event"] == "raised":
-            flag = _flag(flight, event)
-            row = _row(event, flag.title if flag else event["flag"], end=None, length=end - event["at"])
-            open_rows[key] = row
-            rows.append(row)
-        elif key in open_rows:
-            row = open_rows.pop(key)
-            row["end"] = event["at"] if event["event"] == "cleared" else None
-            row["length"] = event["active"]
-    return rows
-
-
-def _others(flight: Flight, events: list[Record]) -> list[Record]:
-    """Reboots and silences one by one; what may come often as one row for each source and message."""
-    rows: dict[tuple[str, ...], Record] = {}
-    for number, event in enumerate(events):
-        kind, length = event["kind"], event["length"] or 0.0
-        if kind in ELSEWHERE:
-            continue
-        what = SINGLE.get(kind) or COUNTED.get(kind) or str(kind)
-        if kind == "invalid":
-            what = f"{what}: {_value(flight, event)}"
-        key = (kind, event["who"], event["title"], what) if kind not in SINGLE else (str(number),)
-        row = rows.setdefault(key, _row(event, what, count=0, at=[]))
-        row["count"] += event["count"] or 1
-        row["at"].append(event["at"])
-        row["end"] = event["at"]
-        if kind == "silence":
-            row["end"], row["length"] = event["at"] + length, length
-        if kind == "skipped":
-            row["bytes"] = (row["bytes"] or 0) + int(length)
-    return list(rows.values())
-
-
-def _value(flight: Flight, event: Record) -> str:
-    """What a field had that the catalogue does not define: "Key 0x11"."""
-    message = flight.messages.get(event["message"])
-    column = message.columns.get(event["field"]) if message else None
-    value = event["value"] or ""
-    return f"{column.title if column else event['field']} {int(value):#x}" if value.isdigit() else value
-
-
-def _incidents(rows: list[Record]) -> list[Record]:
-    """Join faults, silence and reboot of one controller that belong together to one row with its details.
-
-    A controller's messages have IDs with the same last digit, on the same bus.
-    """
-    found: list[Record] = []
-    latest: dict[object, Record] = {}
-    for row in sorted(rows, key=lambda row: float(row["begin"])):
-        one = None if row["id"] is None else (row["bus"], row["id"] & 0xF)
-        last = latest.get(one) if row["kind"] in INCIDENT and one else None
-        if last and (last["until"] is None or row["begin"] <= last["until"] + TOGETHER):
-            last["rows"].append(row)
-            last["until"] = None if last["until"] is None or row["end"] is None else max(last["until"], row["end"])
-            continue
-        incident = {"begin": row["begin"], "until": row["end"], "source": row["source"], "rows": [row]}
-        found.append(incident)
-        if row["kind"] in INCIDENT and one:
-            latest[one] = incident
-    for incident in found:
-        whats = dict.fromkeys(row["what"] for row in incident["rows"])
-        incident["what"] = ", ".join(whats)
-        incident["is_fault"] = any(row["kind"] == "fault" for row in incident["rows"])
-        incident["is_serious"] = any(row["kind"] in SERIOUS for row in incident["rows"])
-        fault = next((row for row in incident["rows"] if row["kind"] == "fault"), incident["rows"][0])
-        incident["source"] = fault["source"]
-    return found
 
 
 def _values(flight: Flight) -> list[Record]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 
 import pyarrow as pa
@@ -18,8 +19,13 @@ def split(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
     texts = pa.array([f"0x{number:03x}" for number in coded.dictionary.to_pylist()], pa.string()).take(coded.indices)
     number = pc.binary_join_element_wise(pc.fill_null(rows["bus"], ""), texts, " ")
     names = pc.utf8_trim_whitespace(pc.coalesce(rows["source"], number))
-    for name in sorted(pc.unique(names).to_pylist()):
+    for name in sorted(pc.unique(names).to_pylist(), key=natural):
         yield name, rows.filter(pc.equal(names, name))
+
+
+def natural(name: str) -> list[str | int]:
+    """Return what sorts names as people do: M2 before M10."""
+    return [int(word) if word.isdecimal() else word for word in re.split(r"(\d+)", name)]
 
 
 def by_source(table: Table) -> Iterator[tuple[tuple[str, ...], pa.Table]]:

@@ -11,9 +11,9 @@ Record = dict[str, Any]
 
 
 def source_name(row: Record) -> str:
-    """Return the user's name for a source, else its bus and ID: `can0 0x210`."""
+    """Return the user's name for a source, else its bus and ID: `can0 0x210`; of what has none, all of the capture."""
     number = "" if row.get("id") is None else f"0x{row['id']:03x}"
-    return row.get("source") or " ".join(part for part in (row.get("bus"), number) if part) or "stream"
+    return row.get("source") or " ".join(part for part in (row.get("bus"), number) if part) or "capture"
 
 
 def undecoded(events: Sequence[Record], summary: Sequence[Record], titles: dict[str, str], said: str) -> str:
