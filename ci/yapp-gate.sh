@@ -85,7 +85,13 @@ while [ $# -gt 0 ]; do
     --junit) junit=$2; shift ;;
     --report) report=$2; shift ;;
     --preferences) preferences=$2; shift ;;
-    -o|-d) options+=("$1" "$2"); shift ;;
+    -o)
+      [[ $2 == *?:* ]] || refuse "-o $2: a preference is NAME:VALUE, such as yapp.motor_ids:0x210-0x213"
+      [[ $2 != yapp.messages:* ]] || refuse "-o yapp.messages is read too late: use --messages FILE"
+      options+=("$1" "$2"); shift ;;
+    -d)
+      [[ $2 == ?*,?* ]] || refuse "-d $2: Decode As is TABLE==VALUE,PROTOCOL, such as tcp.port==4001,yapp_serial"
+      options+=("$1" "$2"); shift ;;
     -*) refuse "$1 is no option; options are $OPTIONS" ;;
     *) [ -z "$capture" ] || refuse "one capture at a time: $capture, $1"; capture=$1 ;;
   esac

@@ -145,7 +145,9 @@ def test_preferences_and_decode_as(folder, project, flights):
 @pytest.mark.parametrize("words, said", [
     (["--rules"], "--rules: its value is missing"), (["--rules", "flight.rules"], "--rules flight.rules: no such file"),
     (["--rules", "fault"], "--rules fault: no such file"), (["--preferences", "no"], "no is no file that can be read"),
-    (["-x", "1"], "-x is no option; options are --rules,"), (["-o"], "-o: its value is missing")])
+    (["-x", "1"], "-x is no option; options are --rules,"), (["-o"], "-o: its value is missing"),
+    (["-o", "nonsense"], "-o nonsense: a preference is NAME:VALUE"), (["-d", "nonsense"], "-d nonsense: Decode As is TABLE==VALUE"),
+    (["-d", "tcp.port==4001"], "-d tcp.port==4001: Decode As is"), (["-o", "yapp.messages:own.lua"], "use --messages FILE")])
 def test_options_that_are_none(folder, project, flights, words, said):
     done = gate(project, folder, flights / "clean.pcapng", *words)
     assert done.returncode == 2 and f"yapp-gate: {said}" in done.stderr, done.stderr

@@ -307,10 +307,11 @@ def test_what_stays_and_what_goes(captures, buses):
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
 
 
-def test_a_statistic_after_lua_plugins_were_reloaded(captures):
+@pytest.mark.parametrize("options", [[], ["-o", "yapp.all_extended:TRUE"]], ids=["", "all_extended"])
+def test_a_statistic_after_lua_plugins_were_reloaded(captures, options):
     """The buses stay, by Wireshark's fields; a fault on each of the two is found; what the file says of losses is gone."""
     probe = Probe(captures)
-    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", gui.FLIGHT) as wireshark:
+    with gui.Wireshark("-X", f"lua_script:{probe.script}", *options, "-r", gui.FLIGHT) as wireshark:
         wireshark.wait_for_window("flight.pcapng")
         choose(wireshark, "Faults")
         before = text_of(wireshark, "YAPP Faults", "YAPP faults")
