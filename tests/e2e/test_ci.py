@@ -147,7 +147,8 @@ def test_preferences_and_decode_as(folder, project, flights):
     (["--rules", "fault"], "--rules fault: no such file"), (["--preferences", "no"], "no is no file that can be read"),
     (["-x", "1"], "-x is no option; options are --rules,"), (["-o"], "-o: its value is missing"),
     (["-o", "nonsense"], "-o nonsense: a preference is NAME:VALUE"), (["-d", "nonsense"], "-d nonsense: Decode As is TABLE==VALUE"),
-    (["-d", "tcp.port==4001"], "-d tcp.port==4001: Decode As is"), (["-o", "yapp.messages:own.lua"], "use --messages FILE")])
+    (["-d", "tcp.port==4001"], "-d tcp.port==4001: Decode As is"),
+    (["-o", "yapp.messages:own.lua"], "-o yapp.messages is read too late: use --messages FILE")])
 def test_options_that_are_none(folder, project, flights, words, said):
     done = gate(project, folder, flights / "clean.pcapng", *words)
     assert done.returncode == 2 and f"yapp-gate: {said}" in done.stderr, done.stderr

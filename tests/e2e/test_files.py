@@ -210,5 +210,5 @@ def test_a_damaged_log(folder):
     text = "".join(f"({1700000000 + i / 1000:.6f}) {lines[i % len(lines)].split(' ', 1)[1]}\n" for i in range(60000))
     path.write_bytes(cut_off(gzip.compress(text.encode(), 1)))
     done = tshark.run("-q", "-r", path, "-z", "yapp,check,motor.count=100", check=False, lua_errors=True)
-    assert "the file cannot be read behind byte" in done.stderr and done.returncode not in (0, 21)
+    assert re.search("the file cannot be read behind byte|cut short", done.stderr) and done.returncode not in (0, 21)
     assert re.search(r"(?m)^ok +motor.count=100 +can1", done.stdout)

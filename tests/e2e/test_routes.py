@@ -69,6 +69,15 @@ def test_busmaster_over_midnight(folder):
         "(86399.999900) can1 123#0A0B T", "(86400.000100) can1 00000000#0C R", "(86401.000000) can2 00000084# R"]
 
 
+def test_busmaster_without_0x(folder):
+    """As its converter of BLF writes ids."""
+    text = (CASES / "c10_busmaster_two_channels.log").read_text()
+    assert text.count(" 0x") > 100
+    (folder / "run.log").write_text(text.replace(" 0x", " "))
+    run(folder, *commands("BUSMASTER's log"))
+    assert motor_count(folder / "frames.log") == 24
+
+
 @pytest.mark.parametrize("title, name", [("SLCAN", "c11_slcan.txt"), ("socketcand", "c11_socketcand.txt"),
                                          ("Text that python-can prints", "c11_pythoncan_printer.txt")])
 def test_text_of_other_tools(folder, title, name):

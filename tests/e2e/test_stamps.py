@@ -52,7 +52,7 @@ def test_no_fault_is_missed(folder, stamp):
     assert code == 21 and not re.search("(?m)^(FAILED|ok) +(silence|stale|jump)", printed)
 
 
-@pytest.mark.parametrize("ahead", [(0, 9, 4), (3, 0, 1), (0, 7.4, 2), (5, 0, 5)], ids=str)
+@pytest.mark.parametrize("ahead", [(0, 9, 4), (3, 0, 1), (0, 7.4, 2), (5, 0, 1)], ids=str)
 def test_a_recorder_for_each_message(folder, ahead):
     """One adapter's clock is seconds ahead of the next one's: nobody is silent, at no time and not to the end."""
     path = folder / "flight.log"

@@ -158,6 +158,20 @@ function T.test_a_reboot_begins_a_new_numbering_and_a_new_drift()
 end
 
 -- 5 to 0 is a late message's distance, too: the clock tells which it is.
+-- Two logs one behind the other, the later one first: the capture goes back by what the clock does.
+function T.test_a_capture_out_of_order_is_no_reboot()
+  local function reboots(...)
+    local messages = {}
+    for i, row in ipairs { ... } do messages[i] = motor(i, row[1], { clock = row[2] }) end
+    return run(messages, "reboot")
+  end
+  lu.assertEquals(reboots({ 90, 1090 }, { 90.1, 1090.1 }, { 50, 1050 }, { 50.1, 1050.1 }), { "-", "-", "-", "-" })
+  lu.assertEquals(reboots({ 90, 90 }, { 89.9, 89.9 }, { 90.1, 90.1 }), { "-", "-", "-" }) -- a message came late
+  lu.assertEquals(reboots({ 90, 1090 }, { 50, 3 }), { "-", 1087 }) -- and it rebooted
+  lu.assertEquals(reboots({ 90, 0.6 }, { 89.999, 0.1 }), { "-", 0.5 })
+  lu.assertEquals(reboots({ 90, 90 }, { 90.1, 50 }), { "-", 40 })
+end
+
 function T.test_a_reboot_while_numbers_are_small()
   local messages = { motor(1, 10, { clock = 9, seq = 4 }), motor(2, 11, { clock = 10, seq = 5 }),
     motor(3, 15, { clock = 1, seq = 0 }), motor(4, 15.1, { clock = 1.1, seq = 4 }) }

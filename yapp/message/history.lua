@@ -150,10 +150,18 @@ local function elapsed_since(source, message, advance)
   return advance > 0 and advance <= MAX_JUMP and advance or source.period
 end
 
+-- Return whether the capture goes back by what the controller's clock does: its packets are not in
+-- the order of time, as in two logs one behind the other.  That is no reboot.
+local function did_both_go_back(source, advance, elapsed)
+  if advance >= 0 or elapsed >= 0 or not source.has_clock then return false end
+  return math.abs(advance - elapsed) <= -elapsed / 4
+end
+
 -- Return the change of the controller's clock: its name and its value; nil for nothing.
 local function clock_change(source, message, clock)
   local advance = (clock - source.clock) / 1e9
   local elapsed = elapsed_since(source, message, advance)
+  if did_both_go_back(source, advance, elapsed) then return nil end
   local may_be_shared = advance <= 0 or source.lead ~= 0
   if may_be_shared and is_shared(source, message, advance, math.max(elapsed, 0)) then
     return "shared", true
