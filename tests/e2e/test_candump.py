@@ -7,15 +7,20 @@ written by hand where a comment says so.
 import os
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 import levels
+import model
 import tshark
 from other_reader import OTHER_READER
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "test_captures"))
+import expected  # noqa: E402
+
 CAPTURES = ROOT / "test_captures"
 TSHARK = os.environ.get("TSHARK", "tshark")
 
@@ -213,6 +218,21 @@ def test_ids_in_a_plain_log(tmp_path):
 def test_a_named_reader_takes_plain_logs_too(tmp_path):
     shown = rows(tmp_path, ["-X", "read_format:yapp_candump", "-r", CAPTURES / "candump/candump_log_plain.log"])
     assert_frames(shown, MESSAGE, stamps(ABSOLUTE, 5))
+
+
+NAMED = ["-X", "read_format:yapp_candump"]
+
+
+@pytest.mark.parametrize("name, arguments", [("screen_absolute.txt", []), ("log_two_buses.log", []), ("log2long.txt", []),
+                                             ("document.txt", []), ("log_plain.log", []), ("log_plain.log", NAMED)])
+def test_values_of_each_form(name, arguments):
+    """Those of the document's Motor Data."""
+    payload = b"".join(bytes.fromhex(one["data"]) for one in MESSAGE[1:])
+    wanted = {field: [value] for field, value in model.decode(model.MOTOR, payload)[0].items()}
+    found = [one for one in expected.shown(CAPTURES / f"candump/candump_{name}", *arguments) if "taurus.motor.dc_voltage" in one]
+    assert len(found) == (2 if name in ("log_two_buses.log", "log2long.txt") else 1)
+    for one in found:
+        assert {field: value for field, value in one.items() if field in wanted} == wanted
 
 
 def test_broken_lines_are_told(tmp_path):
