@@ -194,6 +194,9 @@ function T.test_why_an_answer_is_incomplete()
   lu.assertStrContains(seen.capture.problems[2], "only 4 of 5 packets were read")
   lu.assertStrContains(seen.capture.problems[3], "Lua plugins were reloaded while the capture was open")
   lu.assertEquals(seen.capture.unread, "not all packets were read")
+  wireshark.on_read = function() parts.calls.begun = parts.calls.ended + 1 end
+  stat:run("yapp,faults")
+  lu.assertStrContains(seen.capture.problems[1], "incomplete: 1 Lua error, see")
   stat.total, parts.calls.begun = 0, parts.calls.ended
   wireshark.on_read = nil
   stat:run("yapp,faults")
@@ -241,7 +244,10 @@ function T.test_problems_are_said_once()
   local stat = window()
   wireshark.texts = { "one (of", "two" }
   lu.assertEquals(stat:run("yapp,faults"), "one (of\ntwo\n")
-  lu.assertStrContains(stat:run("yapp,summary,nonsense"), "nonsense")
+  wireshark.on_read = function() seen.added[1].context.out("one (of\n") end
+  lu.assertEquals(stat:run("yapp,events"), "one (of\ntwo\n")
+  wireshark.on_read = nil
+  lu.assertStrMatches(stat:run("yapp,summary,nonsense"), "nonsense: the options of summary .*")
   lu.assertNil(next(seen.taps))
   lu.assertStrContains(stat:run("yapp,check,nonsense"), "nonsense")
 end
@@ -265,6 +271,7 @@ function T.test_packets_are_counted()
   local stat = new_stat(true)
   stat:register_menus()
   lu.assertIs(seen.menu, stat)
+  lu.assertEquals(stat.total, 0)
   read_packets()
   for _, tap in ipairs(seen.order) do tap.draw() end
   lu.assertEquals({ stat.total, seen.drawn }, { PACKETS, true })
@@ -359,6 +366,10 @@ function T.test_a_full_disk()
   lu.assertEquals(seen.stderr, { "yapp: standard output: disk full\n" })
   wireshark.code = 20
   lu.assertEquals(tshark("yapp,faults"), 20, "a fault that was found matters more")
+  wireshark.is_full_at_end, wireshark.is_full, wireshark.code = false, true, 0
+  wireshark.on_read = function() seen.added[1].context.out("text") end
+  lu.assertEquals(tshark("yapp,events"), 21)
+  lu.assertEquals(seen.stdout, { "text" })
 end
 
 function T.test_several_statistics_have_one_reading()
