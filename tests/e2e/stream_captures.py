@@ -186,6 +186,12 @@ def believed(data, at):
     return "known" if ident in KNOWN else "unknown"
 
 
+def may_be_header(data):
+    """Whether the document has a header that begins so, or that stands at the start of these bytes."""
+    ident, reserved = data[4:8].ljust(4, b"\0"), data[10:12]
+    return struct.unpack("<I", ident)[0] <= 0x7FF and not any(reserved)
+
+
 class Oracle:
     """Which frames a stream has, and what of them is certain when so many bytes have come."""
 
@@ -359,7 +365,8 @@ class Datagrams:
         packet.pending = data[max(self.done - packet.start, 0):]
         note_parts(self.run, packet)
         self.is_cut = self.is_cut or any(set(event.parts) - {packet} for event in packet.events)
-        is_begun = len(packet.pending) > 1 or len(packet.pending) == 1 and (self.is_cut or len(data) == 1)
+        is_begun = bool(packet.pending) and (self.is_cut or may_be_header(packet.pending) if len(packet.pending) > 1
+                                             else self.is_cut or len(data) == 1)
         if self.by_content and not (waited or is_begun or any(event.kind != "skipped" for event in packet.events)):
             packet.events, packet.pending = [], b""
             self.end()

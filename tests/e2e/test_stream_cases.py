@@ -165,6 +165,56 @@ def test_datagrams_of_others_in_a_conversation(passes):
     assert sum(counts.values()) == 24 and len(raised(events)) == 1 and "skipped" not in kinds(events)
 
 
+def mavlink(payload, number=0):
+    """A packet of MAVLink 2."""
+    return b"\xfd" + struct.pack("<BBBBBB", len(payload), 0, 0, number % 256, 1, 1) + b"\x21\0\0" + payload + b"\0\0"
+
+
+@PASSES
+@pytest.mark.parametrize("length", [5, 20, 100])
+def test_datagrams_of_mavlink_between_the_pieces_of_a_frame(folder, passes, length):
+    """They are left to their dissector, and the frame goes on behind them."""
+    data, packets = b"".join(data for _, data in flight()), []
+    for index, at in enumerate(range(0, len(data), length)):
+        packets.append((0.1 * at / 48, Packet(data[at:at + length], Origin(ETHERNET, 0, 0))))
+        packets.append((0.1 * at / 48 + 0.0001, Packet(mavlink(bytes([index % 256] * 28), index), Origin(ETHERNET, 0, 0))))
+    path = written(folder, packets, stream_captures.udp)
+    counts, events = statistics(path, *passes)
+    assert counts == {("192.0.2.1:50000", MOTOR_DATA): 20} and len(raised(events)) == 1
+    assert not kinds(events) & {"crc", "incomplete", "skipped", "unfinished"}
+    shown = tshark.fields(path, ["frame.number"], "-Y", "yapp", *passes)
+    assert {int(row[0]) % 2 for row in shown} == {1} and len(shown) >= len(packets) // 2 - 3  # the first ones are on trial
+
+
+@PASSES
+@pytest.mark.parametrize("foreign", [
+    mavlink(b"YP" + bytes(range(100, 126))), mavlink(bytes(20) + b"YP" + bytes([200] * 6)), b"some YP text", b"text, YP\0\0\x10\x92",
+    b"Y and YP" + bytes([255] * 10)])
+def test_yp_in_datagrams_of_others(folder, passes, foreign):
+    """What cannot be a header begins no frame, so the datagrams behind it do not go on with one."""
+    packets = []
+    for index, (seconds, data) in enumerate(flight()):
+        packets.append((seconds, Packet(data, Origin(ETHERNET, 0, 0))))
+        packets.append((seconds + 0.03, Packet(foreign, Origin(ETHERNET, 0, 0))))
+        packets.append((seconds + 0.06, Packet(b"another datagram %d" % index, Origin(ETHERNET, 0, 0))))
+    path = written(folder, packets, stream_captures.udp)
+    assert tshark.fields(path, ["frame.number"], "-Y", "yapp", *passes) == [[str(3 * index + 1)] for index in range(20)]
+    counts, events = statistics(path, *passes)
+    assert counts == {("192.0.2.1:50000", MOTOR_DATA): 20} and kinds(events) == {"fault"}
+
+
+@PASSES
+@pytest.mark.parametrize("length", [1, 2, 3, 7])
+def test_small_pieces_that_were_recorded_twice(folder, passes, length):
+    """Each datagram is there twice, and holds no header that shows it."""
+    data, packets = b"".join(data for _, data in flight()), []
+    for at in range(0, len(data), length):
+        packets += [(0.1 * at / 48 + late, Packet(data[at:at + length], Origin(ETHERNET, 0, 0))) for late in (0, 0.0001)]
+    counts, events = statistics(written(folder, packets, stream_captures.udp), *passes)
+    assert counts == {("192.0.2.1:50000", MOTOR_DATA): 20} and len(raised(events)) == 1
+    assert not kinds(events) & {"crc", "incomplete", "skipped", "unfinished"}
+
+
 # Small segments --------------------------------------------------------------------------------------------------
 
 TCP_PORT = ["-d", "tcp.port==4001,yapp_serial"]

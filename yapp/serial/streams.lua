@@ -17,6 +17,8 @@
 --
 -- A conversation may be unknown when its first bytes come: they are on trial.
 
+local frame = require "yapp.wire.frame"
+local mavlink = require "yapp.serial.mavlink"
 local memo = require "yapp.base.memo"
 local repeats = require "yapp.serial.repeats"
 
@@ -69,7 +71,7 @@ function M.new(new_framer, can_judge)
     copies_by_key = memo(function() return new_stream(new_framer()) end),
     reader = new_framer(), -- of bytes that are complete in themselves, see Streams:read
     by_key = memo(function() return new_stream(new_framer()) end),
-    trials = {}, -- by key, of unknown conversations: { framer, repeats, packets }
+    trials = {}, -- by key, of unknown conversations, see new_trial
     trial_count = 0,
     trials_by_tag = {}, -- how many, by tag of serial.lines
     contents_by_key = {}, -- by frame key: the results of Streams:add
@@ -290,16 +292,31 @@ local function count_waiting(stream)
   return stream and stream.framer.to - stream.framer.from or 0
 end
 
--- Whether a datagram is of others: it holds no frame, goes on with none and begins none.  A single
--- "Y" at the end of other bytes is chance, unless the datagrams are known to cut frames.
+-- Whether a datagram begins a frame behind its findings.  A single "Y" at the end of other bytes is
+-- chance, and so is "YP" in front of what is no header, unless the datagrams are known to cut frames.
+local function begins_frame(stream, contents)
+  local pending, length = contents.pending, contents.to - contents.from
+  if pending == 0 or stream.is_cut then return pending > 0 end
+  if pending == 1 then return length == 1 end
+  return frame.may_be_plausible(stream.framer:pending(), 1)
+end
+
+-- Whether a datagram is of others: it holds no frame, goes on with none and begins none.
 -- waited  number of bytes that waited for it
 local function is_of_others(stream, contents, waited)
   for _, finding in ipairs(contents.findings) do
     if finding.status ~= "skipped" then return false end
   end
-  local pending, length = contents.pending, contents.to - contents.from
-  local is_begun = pending > 1 or pending == 1 and (stream.is_cut or length == 1)
-  return waited == 0 and not is_begun
+  return waited == 0 and not begins_frame(stream, contents)
+end
+
+-- Whether a datagram is of MAVLink, and no frame is in it.
+local function is_of_mavlink(self, bytes)
+  if not mavlink.is_whole(bytes) then return false end
+  for _, finding in ipairs(self:read(bytes)) do
+    if finding.status == "good" then return false end
+  end
+  return true
 end
 
 local function new_contents(packet, findings)
@@ -371,6 +388,12 @@ end
 --   is_others whether it is a datagram of others: nothing else of it holds
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
 function Streams:add(packet, is_stored)
+  local may_be_of_others = packet.is_found and packet.is_datagram
+  if may_be_of_others and is_of_mavlink(self, packet.bytes) then
+    local contents = new_contents(packet, {})
+    contents.is_others = true
+    return contents
+  end
   local whole = read_alone(self, packet)
   if whole and count_waiting(rawget(self.by_key, packet.stream)) == 0 then
     if is_stored then self.contents_by_key[packet.key] = PLAIN end
@@ -382,7 +405,7 @@ function Streams:add(packet, is_stored)
   -- What waits was cut by a lost datagram if the next one is complete in itself.
   if whole then stream.framer:add("", true, findings) end
   split_bytes(self, stream, contents)
-  if packet.is_found and packet.is_datagram and is_of_others(stream, contents, waited) then
+  if may_be_of_others and is_of_others(stream, contents, waited) then
     stream.framer:add("", true)
     drop_pieces(stream, stream.framer.from)
     contents.is_others = true
@@ -437,10 +460,14 @@ local function new_trial(self, packet)
   local trial = {
     framer = self.new_framer(),
     repeats = repeats.new(self.can_judge),
+    -- The same if each datagram was recorded twice: pieces smaller than a header do not show it.
+    paired_framer = packet.is_datagram and self.new_framer() or nil,
+    paired_repeats = packet.is_datagram and repeats.new(self.can_judge) or nil,
     packets = {},
     tag = packet.tag,
   }
   if packet.is_tcp then trial.framer:expect_telnet() end
+  if packet.is_datagram then trial.paired_repeats:expect_pairs(packet.stream) end
   self.trials[packet.stream] = trial
   count_trial(self, trial.tag, 1)
   return trial
@@ -465,22 +492,32 @@ function Streams:end_trial(key)
   return trial.packets
 end
 
--- Keep a packet of a trial, if bytes of it may go on: with a plausible header, or the start of one.
-local function goes_on(trial, packet)
-  local framer = trial.framer
+-- Whether the bytes of a trial may go on: with a plausible header, or the start of one.
+local function has_begun(framer)
   local pending = framer.to - framer.from
   if pending == 0 or pending > MAX_TRIAL then return false end
-  if pending >= MAX_HEADER and not framer:open_frame() then return false end
+  return pending < MAX_HEADER or framer:open_frame()
+end
+
+-- Keep a packet of a trial that may go on.
+local function goes_on(trial, packet)
+  local paired = trial.paired_framer
+  if not (has_begun(trial.framer) or paired and has_begun(paired)) then return false end
   table.insert(trial.packets, packet)
   return true
 end
 
--- Whether a trial has had the bytes of a packet: by its port, and then by the heuristics; or in the
--- packet that it is a copy of.  A copy that proves that it is YAPP is taken.
+-- Whether the bytes of a trial show that it is YAPP, each packet of which was recorded twice.
+local function is_in_pairs(trial, packet)
+  local framer = trial.paired_framer
+  if not framer or trial.paired_repeats:copy_number(packet) > 0 then return false end
+  return is_proof(framer, framer:add(packet.bytes, packet.truncated))
+end
+
+-- Whether a trial has had the bytes of a packet, in the packet that it is a copy of.  A copy that
+-- proves that it is YAPP is taken.
 local function was_had(trial, packet, is_proved)
   local packets = trial.packets
-  local latest = packets[#packets]
-  if latest and latest.key == packet.key then return true end
   if is_proved or not packet.is_datagram then return false end
   if trial.repeats:copy_number(packet) == 0 then return false end
   packets[#packets + 1] = packet
@@ -502,13 +539,20 @@ end
 --            catalogue.  Then the list of the earlier packets, for Streams:add.  If they do not
 --            belong to the packet's first frame, they may be of others: is_found is set
 function Streams:try(packet, is_proved)
+  if packet.is_datagram and not is_proved and is_of_mavlink(self, packet.bytes) then return nil end
   local trial = self.trials[packet.stream] or not is_proved and new_trial(self, packet)
   if not trial then return is_proved and {} or nil end
-  if was_had(trial, packet, is_proved) then return nil end
+  local latest = trial.packets[#trial.packets]
+  -- Its port has asked before the heuristics do.
+  if latest and latest.key == packet.key then return nil end
+  local are_pairs = is_in_pairs(trial, packet)
+  if not are_pairs and was_had(trial, packet, is_proved) then return nil end
   local framer = trial.framer
   local from = framer.to
   local findings = framer:add(packet.bytes, packet.truncated)
-  local is_found = is_proved or is_proof(framer, findings)
+  local is_shown = is_proof(framer, findings)
+  if are_pairs and not is_shown then self.repeats:expect_pairs(packet.stream) end
+  local is_found = is_proved or is_shown or are_pairs
   if not is_found and goes_on(trial, packet) then return nil end
   local packets = self:end_trial(packet.stream)
   if not is_found then return nil end

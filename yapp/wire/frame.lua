@@ -43,6 +43,13 @@ function M.is_plausible(bytes, from)
   return id ~= nil and id <= M.MAX_ID and reserved == 0
 end
 
+--- Return whether the bytes that came of the header at a "YP" are as the document has them.
+-- bytes, from  as for M.parse
+function M.may_be_plausible(bytes, from)
+  local id1, id2, id3, _, _, rest0, rest1 = byte(bytes, from + 5, from + 11)
+  return (id1 or 0) <= 7 and (id2 or 0) + (id3 or 0) + (rest0 or 0) + (rest1 or 0) == 0
+end
+
 --- Return the index of the next "YP" from a 1-based index on; nil without one.
 function M.find(bytes, from)
   return bytes:find("YP", from, true)
