@@ -293,7 +293,7 @@ local function count_waiting(stream)
 end
 
 -- Whether a datagram begins a frame behind its findings.  A single "Y" at the end of other bytes is
--- chance, and so is "YP" in front of what is no header, unless the datagrams are known to cut frames.
+-- chance, and so is "YP" in front of what is no header, unless datagrams are known to cut frames.
 local function begins_frame(stream, contents)
   local pending, length = contents.pending, contents.to - contents.from
   if pending == 0 or stream.is_cut then return pending > 0 end
@@ -355,6 +355,12 @@ local function split_bytes(self, stream, contents)
   end
 end
 
+-- Keep what Streams:find returns.
+local function keep_contents(self, packet, contents)
+  local can_be_read_anew = not packet.is_datagram and is_plain(contents.findings, packet.bytes)
+  self.contents_by_key[packet.key] = can_be_read_anew and PLAIN or contents
+end
+
 -- Note that the capture does not have the end of a packet: whole frames may be missing.
 local function note_truncated(self, stream, packet, findings)
   local last = findings[#findings]
@@ -412,10 +418,7 @@ function Streams:add(packet, is_stored)
     return contents
   end
   if is_copy then keep_good(findings) else note_truncated(self, stream, packet, findings) end
-  if is_stored then
-    local can_be_read_anew = not packet.is_datagram and is_plain(findings, packet.bytes)
-    self.contents_by_key[packet.key] = can_be_read_anew and PLAIN or contents
-  end
+  if is_stored then keep_contents(self, packet, contents) end
   return contents
 end
 
@@ -473,6 +476,12 @@ local function new_trial(self, packet)
   return trial
 end
 
+-- Return the trial that a packet belongs to, which may be new; nil for none.
+local function trial_for(self, packet)
+  if packet.is_datagram and is_of_mavlink(self, packet.bytes) then return nil end
+  return self.trials[packet.stream] or new_trial(self, packet)
+end
+
 -- Whether bytes of a trial show that it is YAPP.
 local function is_proof(framer, findings)
   for _, finding in ipairs(findings) do
@@ -514,12 +523,13 @@ local function is_in_pairs(trial, packet)
   return is_proof(framer, framer:add(packet.bytes, packet.truncated))
 end
 
--- Whether a trial has had the bytes of a packet, in the packet that it is a copy of.  A copy that
--- proves that it is YAPP is taken.
-local function was_had(trial, packet, is_proved)
+-- Whether a trial has had the bytes of a packet: by its port, which asks before the heuristics do;
+-- or in the packet that it is a copy of.
+local function was_had(trial, packet)
   local packets = trial.packets
-  if is_proved or not packet.is_datagram then return false end
-  if trial.repeats:copy_number(packet) == 0 then return false end
+  local latest = packets[#packets]
+  if latest and latest.key == packet.key then return true end
+  if not packet.is_datagram or trial.repeats:copy_number(packet) == 0 then return false end
   packets[#packets + 1] = packet
   return true
 end
@@ -532,6 +542,23 @@ local function is_good_before(findings, offset)
   return false
 end
 
+-- Add a packet to a trial.
+-- returns  whether its bytes show YAPP; whether those before belong to its first frame
+local function add_to_trial(trial, packet)
+  local framer = trial.framer
+  local from = framer.to
+  local findings = framer:add(packet.bytes, packet.truncated)
+  return is_proof(framer, findings), is_good_before(findings, from)
+end
+
+-- End a trial that has shown YAPP; return the list of its packets.
+-- is_joined  whether they belong to the first frame; else they may be of others
+local function take_trial(self, packet, is_joined)
+  local packets = self:end_trial(packet.stream)
+  for _, earlier in ipairs(packets) do earlier.is_found = not is_joined end
+  return packets
+end
+
 --- Take a packet of an unknown conversation on trial.
 -- packet     as of Streams:add
 -- is_proved  whether the packet alone shows that it is YAPP
@@ -539,26 +566,20 @@ end
 --            catalogue.  Then the list of the earlier packets, for Streams:add.  If they do not
 --            belong to the packet's first frame, they may be of others: is_found is set
 function Streams:try(packet, is_proved)
-  if packet.is_datagram and not is_proved and is_of_mavlink(self, packet.bytes) then return nil end
-  local trial = self.trials[packet.stream] or not is_proved and new_trial(self, packet)
-  if not trial then return is_proved and {} or nil end
-  local latest = trial.packets[#trial.packets]
-  -- Its port has asked before the heuristics do.
-  if latest and latest.key == packet.key then return nil end
+  local trial = self.trials[packet.stream]
+  if is_proved then -- even if it is a copy
+    local is_joined = trial and select(2, add_to_trial(trial, packet))
+    return take_trial(self, packet, is_joined)
+  end
+  trial = trial_for(self, packet)
+  if not trial then return nil end
   local are_pairs = is_in_pairs(trial, packet)
-  if not are_pairs and was_had(trial, packet, is_proved) then return nil end
-  local framer = trial.framer
-  local from = framer.to
-  local findings = framer:add(packet.bytes, packet.truncated)
-  local is_shown = is_proof(framer, findings)
+  if not are_pairs and was_had(trial, packet) then return nil end
+  local is_shown = add_to_trial(trial, packet)
   if are_pairs and not is_shown then self.repeats:expect_pairs(packet.stream) end
-  local is_found = is_proved or is_shown or are_pairs
-  if not is_found and goes_on(trial, packet) then return nil end
-  local packets = self:end_trial(packet.stream)
-  if not is_found then return nil end
-  local is_joined = not is_proved or is_good_before(findings, from)
-  for _, earlier in ipairs(packets) do earlier.is_found = not is_joined end
-  return packets
+  if is_shown or are_pairs then return take_trial(self, packet, true) end
+  if not goes_on(trial, packet) then self:end_trial(packet.stream) end
+  return nil
 end
 
 --- Whether the capture ends before the frame that a packet's pending bytes begin.
