@@ -87,10 +87,16 @@ function ProtoExpert.new(filter, text, group, severity)
   missing[made] = is_planted("expert", filter) or nil
   return made
 end
-local add_expert = TreeItem.add_proto_expert_info
-function TreeItem.add_proto_expert_info(item, made, ...)
-  if missing[made] then return item end
-  return add_expert(item, made, ...)
+if kind == "expert" then -- a method of an item is not looked up in TreeItem
+  local items = debug.getregistry().TreeItem
+  local method_of = items.__index
+  local function add_expert(item, made, ...)
+    if missing[made] then return item end
+    return method_of(item, "add_proto_expert_info")(item, made, ...)
+  end
+  function items.__index(item, key)
+    return key == "add_proto_expert_info" and add_expert or method_of(item, key)
+  end
 end
 
 -- Preferences -------------------------------------------------------------------------------------
