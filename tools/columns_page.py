@@ -9,9 +9,17 @@ from yapp_tables.tables import ABOUT_HEAD, DURATION, KIND, SCHEMA, TIME, message
 
 NAMES = {TIME: "time", DURATION: "duration", KIND: "text"}
 ABOUT = {
-    "events": "What happened, in the order of time.",
-    "faults": "The events of kind `fault`.",
-    "summary": "A row for each bus and ID. Good messages have a good CRC, or need none.",
+    "events": """\
+What happened, in the order of time. An event belongs to one message ID: if a controller that sends
+Motor Data and Health reboots or falls silent, these are two events. To count controllers, take one
+`message_name`.""",
+    "faults": """\
+The events of kind `fault`: a row when a flag is raised, and one when it is cleared or the flight
+ends. The sum of `active` is how long a flag was set.""",
+    "summary": """\
+A row for each bus and ID. Good messages have a good CRC, or need none. If a source counts by Seq
+No, a damaged message is `missing`, too, and the lost share is `missing / (count + missing)`.
+Otherwise it is `(crc_bad + incomplete) / (count + crc_bad + incomplete)`.""",
     "statistics": "A row for each field of each source.",
     "flights": "A row for each flight.",
 }
@@ -31,7 +39,9 @@ What is absent is null. A reserved value is null, too; `<field>_special` has its
 | uint8, uint16, uint32 | the same | int16, int32, int64 | number | the same | integer |
 | uint64 | the same | decimal(20, 0) | number | the same | integer |
 
-duckdb and Spark show a duration of Parquet as an integer of nanoseconds.
+duckdb and Spark show a duration of Parquet as an integer of nanoseconds. duckdb cannot subtract
+times with nanoseconds: take `epoch_ns(time)`. In SQL a null equals nothing: where `bus` may be
+null, join by `IS NOT DISTINCT FROM`.
 """
 
 
