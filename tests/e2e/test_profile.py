@@ -170,8 +170,8 @@ def test_a_motor_that_stops_is_seen():
 
 def test_several_controllers_are_no_average_and_no_zigzag():
     for row in uat("io_graphs"):
-        assert row[4] in ("Dot", "Square", "Impulse") and not row[5].startswith("AVG"), row
-    assert {row[5] for row in uat("plots")} == {"Dot", "Square"}
+        assert row[4] in ("Dot", "Plus", "Impulse") and not row[5].startswith("AVG"), row
+    assert {row[5] for row in uat("plots")} == {"Dot", "Plus"}
 
 
 @pytest.mark.parametrize("capture, rule", [

@@ -62,7 +62,7 @@ def test_graphs(capture):
         wireshark.press("alt+s", "i", until=lambda: any("I/O Graphs" in title for title in wireshark.windows().values()))
         wireshark.wait_for_window("I/O Graphs")
         wait_for_words(wireshark, ["RPM measured", "RPM commanded", "Faults raised"], scale=200)
-        for colour in ("#0072b2", "#003050", "#56b4e9"):
+        for colour in ("#0072b2", "#003050", "#e69f00"):
             assert wireshark.pixels(colour) > 100, colour
 
 

@@ -62,20 +62,35 @@ function T.test_the_entry_in_tools()
   lu.assertEquals(seen.tools, "YAPP/Decode unknown IDs by size tools")
 end
 
--- A tap that stays would build trees for ever.
-function T.test_no_message_has_the_size_of_one()
-  local taps = 0
+-- Choose Decode unknown IDs by size.  A tap that stays would build trees for ever.
+-- packets  how many the taps get
+local function decode_by_size(packets)
+  local taps, filters = {}, {}
   menu({ sources = "" })
   _G.Listener = { new = function(_, filter)
-    lu.assertEquals(filter, "yapp.like.motor || yapp.like.pump || yapp.like.health")
-    taps = taps + 1
-    return { remove = function() taps = taps - 1 end }
+    local tap = { filter = filter }
+    function tap.remove() taps[tap] = nil end
+    taps[tap], filters[#filters + 1] = true, filter
+    return tap
   end }
-  function _G.retap_packets() lu.assertEquals(taps, 1) end
+  function _G.retap_packets()
+    for _ = 1, packets do for tap in pairs(taps) do if not tap.filter then tap.packet() end end end
+  end
   function _G.report_failure(text) seen.failure = text end
   seen.by_size()
+  lu.assertEquals(filters, { "yapp.like.motor || yapp.like.pump || yapp.like.health" })
+  lu.assertEquals({ next(taps), seen.done }, { nil, {} })
+end
+
+function T.test_no_message_has_the_size_of_one()
+  decode_by_size(3)
   lu.assertStrContains(seen.failure, "YAPP: no message of an unknown ID has the size")
-  lu.assertEquals({ taps, seen.done }, { 0, {} })
+end
+
+-- Another window reads, or the entry was chosen twice: that is no answer.
+function T.test_the_packets_could_not_be_read()
+  decode_by_size(0)
+  lu.assertStrContains(seen.failure, "YAPP: no packet was read")
 end
 
 function T.test_decode_this_id_as()

@@ -8,6 +8,9 @@ local M = {}
 
 local EXTENDED, REMOTE, ID_END = 0x80000000, 0x40000000, 0x20000000 -- in the word that has the id
 
+local UNREAD = "YAPP: no packet was read, as no capture is open, or Wireshark still reads it: " ..
+  "wait for the end, and try again"
+
 -- Stands for a message with fault flags: neither an unknown ID nor another message has some.
 local HAS_FAULTS = {}
 local FAULTS = "yapp.source in {%s} && (taurus.fault.raised || taurus.fault.cleared)"
@@ -94,7 +97,8 @@ local function ask_name(values, sources, catalogue)
   end, { name = "Names of sources", value = sources })
 end
 
--- Return all unknown IDs of the capture that have the size of a message: { [message] = list }.
+-- Return all unknown IDs of the capture that have the size of a message: { [message] = list }; nil
+-- if no packet came: Wireshark does not read twice at a time.
 local function find_ids(messages)
   local found, by_field, fields = {}, {}, {}
   for _, message in ipairs(messages) do
@@ -111,8 +115,12 @@ local function find_ids(messages)
       end
     end
   end
+  local every, is_read = Listener.new("frame"), false
+  function every.packet() is_read = true end
   retap_packets()
   tap:remove()
+  every:remove()
+  if not is_read then return nil end
   for message, is_known in pairs(found) do
     found[message] = {}
     for id in pairs(is_known) do table.insert(found[message], id) end
@@ -123,8 +131,9 @@ end
 
 -- Decode all unknown IDs of the capture that have the size of a message as that message.
 local function decode_by_size(prefs, messages)
-  local values = {}
-  for message, ids in pairs(find_ids(messages)) do
+  local found, values = find_ids(messages), {}
+  if not found then return report_failure(UNREAD) end
+  for message, ids in pairs(found) do
     local name = message.name .. "_ids"
     values[name] = prefs[name] .. "," .. table.concat(ids, ",")
   end

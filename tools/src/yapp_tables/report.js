@@ -289,7 +289,7 @@
     if (!isNew || !figure.isTime) return;
     div.on("plotly_relayout", (change) => {
       const from = change["xaxis.range[0]"] ?? change["xaxis.range"]?.[0], to = change["xaxis.range[1]"] ?? change["xaxis.range"]?.[1];
-      if (from !== undefined) show([Number(from), Number(to)]);
+      if (from !== undefined) show([Number(from), Number(to)], figure);
     });
     div.on("plotly_doubleclick", () => show(whole));
     div.on("plotly_hover", ({ xvals, points }) => point(figure, Number(xvals?.[0] ?? points[0].x)));
@@ -304,19 +304,20 @@
   }
 
   // Shows a stretch of time in all pictures: those in sight move at once, and get the samples of that stretch then.
+  // by: the figure that shows it already
   let waiting = 0;
   function outdate(figure) {
     figure.isStale = true;
     figure.div.dataset.stale = "";
   }
-  function show(range) {
+  function show(range, by) {
     if (range.every((t, i) => t === seen[i])) return;
     seen = range;
     document.documentElement.dataset.seen = seen.join();
     history.replaceState(null, "", seen.every((t, i) => t === whole[i]) ? "#" : `#t=${seen.map((t) => t.toFixed(3)).join(",")}`);
     for (const figure of figures) {
       if (figure.isTime) outdate(figure);
-      if (figure.isNear && figure.isTime && figure.div.layout) paint(figure, true);
+      if (figure.isNear && figure.isTime && figure.div.layout && figure !== by) paint(figure, true);
     }
     refine(PAUSE);
   }
