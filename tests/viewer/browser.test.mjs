@@ -256,7 +256,6 @@ test("the gate's report opens the capture at the rule that failed", async () => 
     await page.waitForSelector('#answer h2:has-text("FAILED")');
     await chosenRow(page, "719");
     assert.ok(basename(await page.title()).startsWith("my_flight.pcapng"));
-    assert.deepEqual(page.wrong, []);
     await page.close();
   }
 });
