@@ -3,7 +3,9 @@
 import { make } from "./dom.js";
 
 const WIDTH = 16; // bytes in a line
-const OPEN = /^(Yet Another|Taurus|YAPP)/; // trees that are open at first
+const OPEN = /^(Yet Another|Taurus|YAPP)/; // trees that are open at first, and what they are in
+
+const hasOpen = ({ label, children }) => OPEN.test(label) || children.some(hasOpen);
 
 const hex = (value, digits) => value.toString(16).padStart(digits, "0");
 
@@ -29,7 +31,7 @@ export class Detail {
       title: node.filter, tabIndex: 0, onclick: choose, onfocus: choose }, label);
     this.items.push({ node, element });
     if (!node.children.length) return element;
-    const open = this.open.get(key) ?? (path !== "" ? node.severity !== "" || OPEN.test(path.slice(1)) : OPEN.test(node.label));
+    const open = this.open.get(key) ?? (path !== "" ? node.severity !== "" || OPEN.test(path.slice(1)) || hasOpen(node) : hasOpen(node));
     const ontoggle = ({ target }) => this.open.set(key, target.open);
     return make("details", { open, ontoggle }, element, ...node.children.map((child) => this.item(child, key || "/")));
   }

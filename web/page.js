@@ -11,6 +11,7 @@ import { Statistics } from "./statistics.js";
 const SAMPLE = "flight.pcapng";
 const FAULT = "taurus.fault.raised || taurus.fault.cleared";
 const MOST_BYTES = 400e6; // of a capture: more may not fit into the 2 GB that WebAssembly has here
+const PACKED = 5; // times as many bytes are in a file of gzip
 const FIRST_ROWS = 100;
 
 const $ = (id) => document.getElementById(id);
@@ -105,29 +106,45 @@ async function start() {
   $("status").textContent = `Wireshark ${about.version}, YAPP ${client.plugin.version}`;
 }
 
+// Use other preferences, and a file of the user's messages.
+async function prefer(changed, file) {
+  Object.assign(state.preferences, changed);
+  if (file) Object.assign(state, { messages: await file.text(), messagesLink: "" });
+  keepLink();
+  await restart();
+}
+
 // Begin anew, with the capture that was open.
 async function restart(why) {
   if (why) notice(why);
-  const { file, opened, frame } = state, text = state.filter;
+  const { file, opened, frame, filter: text } = state, { name, options } = statistics;
+  if (why) close();
   await start();
   if (!opened || why) return;
   if (await open(file)) await filter.use(text);
   if (frame) await go(frame);
+  if (name) await statistics.show(name, options);
+}
+
+function close() {
+  Object.assign(state, { opened: null, frame: 0, filter: "" });
+  document.body.classList.remove("opened");
+  statistics.close();
 }
 
 async function open(file) {
-  const { blob, name } = file;
-  if (blob.size > MOST_BYTES && !confirm(`${name} has ${Math.round(blob.size / 1e6)} MB. More than ${MOST_BYTES / 1e6} MB ` +
+  const { blob, name } = file, isPacked = name.endsWith(".gz"), bytes = isPacked ? blob.size * PACKED : blob.size;
+  if (bytes > MOST_BYTES && !confirm(`${name} has about ${Math.round(bytes / 1e6)} MB${isPacked ? " when unpacked" : ""}. More than ${MOST_BYTES / 1e6} MB ` +
     "may not fit into the memory that this page has: then Wireshark stops. Cut it, for example by " +
     `editcap -c 1000000 ${name} part.pcapng. Try it all the same?`)) return false;
   $("notices").replaceChildren();
-  Object.assign(state, { file, opened: null, frame: 0, filter: "" });
-  statistics.close();
+  close();
+  state.file = file;
   if (state.hasOpened) await start(); // what a capture was says nothing of the next one
   state.hasOpened = true;
   const opened = await busy(`Opening ${name}`, client.call("open", name, blob));
-  document.body.classList.toggle("opened", Boolean(opened));
   if (!opened) return false;
+  document.body.classList.add("opened");
   state.opened = opened;
   const size = opened.size < 1e6 ? `${Math.ceil(opened.size / 1e3)} kB` : `${(opened.size / 1e6).toFixed(1)} MB`;
   $("name").textContent = `${name}: ${opened.count.toLocaleString("en")} frames, ${size}`;
@@ -196,14 +213,9 @@ const detail = new Detail($("tree"), $("bytes"), { go, selected(node) {
 } });
 const filter = new Filter($("filter"), $("names"), $("problem"), {
   check: (text) => client.call("checkFilter", text), complete: (word) => client.call("complete", word), apply });
-const statistics = new Statistics($("answer"), { go, partial, changed: keepLink,
+const statistics = new Statistics($("answer"), { go, partial, prefer, changed: keepLink, start: () => state.opened.start,
   run: async (request) => await busy(`Running ${request}`, client.call("statistic", request)) ?? "cancelled" });
-const preferences = new Preferences($("settings"), async (changed, file) => {
-  Object.assign(state.preferences, changed);
-  if (file) Object.assign(state, { messages: await file.text(), messagesLink: "" });
-  keepLink();
-  await restart();
-});
+const preferences = new Preferences($("settings"), prefer);
 
 // Buttons, keys, files --------------------------------------------------------------------------------------------
 

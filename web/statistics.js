@@ -15,7 +15,6 @@ function text(key, value) {
   if (key === "ok") return VERDICTS[value];
   if (value === null || value === undefined) return "";
   if (key === "id") return `0x${value.toString(16)}`;
-  if (key === "time") return utc(value);
   if (typeof value === "number" && !Number.isInteger(value)) return String(Number(value.toPrecision(6)));
   return String(value);
 }
@@ -50,6 +49,13 @@ export function read(answer) {
   return { lines, notes };
 }
 
+// The preferences that a note of the plugin proposes: lists of [name, value], of which each would help.
+export function proposals(note) {
+  const [, tried] = note.match(/ Try (-o .*)/) ?? [];
+  return tried ? tried.split(/ or (?=-o )/).map((one) => [...one.matchAll(/-o (["']?)(yapp\.\w+):(.*?)\1(?= |$)/g)]
+    .map(([,, name, value]) => [name, value])) : [];
+}
+
 function headline(name, lines) {
   const count = (verdict) => lines.filter(({ ok }) => ok === verdict).length;
   if (name !== "check") return lines.length ? `${lines.length} ${lines.length === 1 ? "line" : "lines"}` : "nothing found";
@@ -60,7 +66,8 @@ function headline(name, lines) {
 
 export class Statistics {
   // element: of the panel; run: async function(request) -> answer; go: function(frame);
-  // changed: function(), another statistic is shown; partial: function() -> what the capture lacks, or ""
+  // changed: function(), another statistic is shown; partial: function() -> what the capture lacks, or "";
+  // start: function() -> seconds at which it begins; prefer: function({ preference: value }), use these
   constructor(element, parts) {
     Object.assign(this, { element, ...parts, name: "", options: "" });
     const part = (name) => element.querySelector(`[data-part=${name}]`);
@@ -95,15 +102,27 @@ export class Statistics {
     const partial = this.partial();
     title.textContent = isText ? `${name}, as in Wireshark` : `${name}: ${headline(name, lines)}`;
     title.className = /FAILED|NOT/.test(title.textContent) ? "bad" : "";
-    notes.replaceChildren(...[...(partial ? [partial] : []), ...texts].map((one) => make("p", { className: "note" }, one)));
+    notes.replaceChildren(...[...(partial ? [partial] : []), ...texts].map((one) => make("p", { className: "note" }, one, ...this.buttons(one))));
     tables.replaceChildren(...(isText ? [make("pre", {}, answer)] : tablesOf(lines).map((table) => this.table(table))));
     return lines;
   }
 
+  buttons(note) {
+    return proposals(note).map((list) => make("button", { onclick: () => this.prefer(Object.fromEntries(list)) },
+      `Set ${list.map(([name, value]) => `${name} to ${value}`).join(", and ")}`));
+  }
+
   table({ keys, rows }) {
+    if (keys.includes("kind")) { // of each kind other keys: they become one column
+      rows = rows.map((row) => {
+        const rest = Object.entries(row).filter(([key, value]) => !KNOWN.includes(key) && text(key, value) !== "");
+        return { ...row, details: rest.map(([key, value]) => `${key.replaceAll("_", " ")} ${text(key, value)}`).join(", ") };
+      });
+      keys = [...KNOWN.filter((key) => keys.includes(key)), "details"];
+    }
     const columns = [...KNOWN.filter((key) => keys.includes(key)), ...keys.filter((key) => !KNOWN.includes(key))]
       .filter((key) => rows.some((row) => text(key, row[key]) !== ""));
-    const head = make("tr", {}, ...columns.map((key) => make("th", {}, key.replaceAll("_", " "))));
+    const head = make("tr", {}, ...columns.map((key) => make("th", {}, key === "time" ? "time (s, UTC)" : key.replaceAll("_", " "))));
     const order = (row) => row.ok === false ? 0 : row.ok === null ? 1 : 2;
     const body = [...rows].sort((a, b) => order(a) - order(b)).slice(0, MOST_ROWS).map((row) => make("tr", { className: row.ok === false ? "bad" : "" },
       ...columns.map((key) => this.cell(key, row[key]))));
@@ -112,7 +131,7 @@ export class Statistics {
   }
 
   cell(key, value) {
-    const content = text(key, value);
+    const content = key === "time" ? `${(value - this.start()).toFixed(6)}  ${utc(value)}` : text(key, value);
     if (!/frame$/.test(key) || !content) return make("td", { className: typeof value === "number" ? "number" : "" }, content);
     const link = { className: "link", title: `Go to frame ${content}`, onclick: () => this.go(value) };
     return make("td", { className: "number" }, make("button", link, content));

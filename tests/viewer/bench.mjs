@@ -19,29 +19,30 @@ page.setDefaultTimeout(600000);
 
 const session = await browser.newBrowserCDPSession();
 const computed = async () => (await session.send("SystemInfo.getProcessInfo")).processInfo.reduce((sum, { cpuTime }) => sum + cpuTime, 0);
-// Do something; returns "seconds by the clock (computed)".
-async function time(act) {
+// Do something and say "what seconds by the clock (computed)".
+async function time(what, act) {
   const from = performance.now(), before = await computed();
   await act();
-  return `${((performance.now() - from) / 1000).toFixed(1)} s (${(await computed() - before).toFixed(1)})`;
+  console.log(`  ${what}: ${((performance.now() - from) / 1000).toFixed(1)} s (${(await computed() - before).toFixed(1)})`);
 }
 const shown = (text) => page.waitForFunction((wanted) => document.getElementById("status").textContent.includes(wanted), text);
 
 console.log(`${cpus().length} × ${cpus()[0].model}, load ${loadavg()[0]}, Chromium ${browser.version()}`);
-console.log(`ready: ${await time(async () => {
+await time("ready", async () => {
   await page.goto(url);
   await page.waitForSelector("body[data-ready]");
-})}`);
+});
 
 for (const frames of sizes.length ? sizes : [100000, 2000000]) {
   execFileSync("python3", ["-c", `import sys, pathlib; sys.path[:0] = ["tests/bench", "tests/e2e"]; import traffic
 traffic.make(pathlib.Path(sys.argv[1]), int(sys.argv[2]) // traffic.FRAMES, ["two_buses.pcapng"])`, folder, String(frames)], { cwd: TOP });
   const count = frames.toLocaleString("en");
-  const opened = await time(async () => {
+  console.log(`${count} frames, ${Math.round(statSync(join(folder, "two_buses.pcapng")).size / 1e6)} MB`);
+  await time("open", async () => {
     await page.setInputFiles("#file", join(folder, "two_buses.pcapng"));
     await shown(`${count} of ${count}`);
   });
-  const filtered = await time(async () => {
+  await time("filter", async () => {
     await page.fill("#filter", "taurus.fault.raised");
     await page.press("#filter", "Enter");
     await page.waitForFunction(() => {
@@ -51,11 +52,11 @@ traffic.make(pathlib.Path(sys.argv[1]), int(sys.argv[2]) // traffic.FRAMES, ["tw
   });
   await page.click("#clear");
   await shown(`${count} of ${count}`);
-  const answered = await time(async () => {
+  await time("faults", async () => {
     await page.click('#statistics button:has-text("Faults")');
     await page.waitForFunction(() => /lines|nothing|NOT/.test(document.querySelector("#answer h2").textContent));
   });
-  const ended = await time(async () => {
+  await time("last row", async () => {
     await page.press("#list", "End");
     await page.waitForSelector(`.row.chosen:has-text("${frames}")`);
   });
@@ -72,8 +73,7 @@ traffic.make(pathlib.Path(sys.argv[1]), int(sys.argv[2]) // traffic.FRAMES, ["tw
     })();
   }));
   const heap = await page.evaluate(() => viewer.call("memory"));
-  console.log(`${count} frames, ${Math.round(statSync(join(folder, "two_buses.pcapng")).size / 1e6)} MB: open ${opened}, filter ${filtered}, ` +
-    `faults ${answered}, last row ${ended}, scroll ${rate} pictures a second, WebAssembly's memory ${Math.round(heap / 1e6)} MB`);
+  console.log(`  scroll: ${rate} pictures a second\n  WebAssembly's memory: ${Math.round(heap / 1e6)} MB`);
 }
 await browser.close();
 stop(server);

@@ -3,7 +3,7 @@
 // CHROMIUM, FIREFOX: other browsers.  Needs make viewer.  Without Firefox its test is skipped.
 import assert from "node:assert/strict";
 import { execFileSync, spawn, spawnSync } from "node:child_process";
-import { cpSync, existsSync, mkdtempSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
+import { cpSync, existsSync, mkdtempSync, readdirSync, readFileSync, truncateSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { tmpdir } from "node:os";
 import { basename, extname, join } from "node:path";
@@ -11,6 +11,7 @@ import { after, before, test } from "node:test";
 import { pathToFileURL } from "node:url";
 import { chromium } from "../../web/node_modules/playwright-core/index.mjs";
 import { offline, TOP } from "../../tools/viewer.mjs";
+import { proposals } from "../../web/statistics.js";
 import { serve, stop, TYPES } from "./server.mjs";
 
 const DISK = pathToFileURL(join(TOP, "dist/viewer-offline/index.html")).href;
@@ -223,6 +224,46 @@ test("without a network the page opens captures; versions are not mixed", async 
   await status(page, "1,483 of 1,483");
   assert.equal((await page.evaluate(() => caches.keys())).length, 1, "the first version is gone");
   await context.close();
+});
+
+test("a button sets the preferences that a note proposes; kinds of events share their columns", async () => {
+  const page = await visit(http);
+  await page.setInputFiles("#file", join(TOP, "test_captures/fuzz/exceptions_on_many_carriers.pcapng"));
+  await page.waitForSelector(".row.chosen");
+  await page.click('#statistics button:has-text("Events")');
+  await page.waitForSelector('#answer th:has-text("details")');
+  assert.equal(await page.locator("#answer th").last().textContent(), "details");
+  await page.click('#answer button:has-text("Set yapp.command_ids to 0x0,0x301,0x41a, and yapp.motor_ids to 0x210-0x211,0x7ff")');
+  await page.waitForSelector('#answer h2:has-text("events: "):not(:has-text("..."))');
+  await page.waitForFunction(() => /yapp.motor_ids=0x210-0x211%2C0x7ff/.test(location.hash));
+  await page.waitForFunction(() => /events: [1-9]/.test(document.querySelector("#answer h2").textContent) && !/Try/.test(document.querySelector("#answer").textContent));
+  assert.deepEqual(proposals('none. Try -o yapp.a_ids:0x1 or -o yapp.b_ids:0x1 -o "yapp.sources:0x1=left fore"'),
+    [[["yapp.a_ids", "0x1"]], [["yapp.b_ids", "0x1"], ["yapp.sources", "0x1=left fore"]]]);
+  await page.close();
+});
+
+test("too little memory is said: before a capture is opened, and when it is full", async () => {
+  const page = await visit(`${http}#file=flight.pcapng`);
+  await page.evaluate(() => { // as when Wireshark's memory is full
+    const { call } = viewer;
+    viewer.call = async () => { viewer.call = call; throw Object.assign(new Error("Aborted(OOM)"), { isFatal: true }); };
+  });
+  await page.click('#statistics button:has-text("Summary")');
+  await page.waitForSelector('#notices:has-text("memory is full")');
+  await page.waitForSelector("#welcome");
+  await page.setInputFiles("#file", join(TOP, "docs/flight.pcapng"));
+  await status(page, "1,483 of 1,483");
+  const large = join(scratch, "large.pcap.gz");
+  writeFileSync(large, readFileSync(join(TOP, "docs/flight.pcapng")));
+  truncateSync(large, 90e6);
+  let asked;
+  page.once("dialog", (dialog) => { asked = dialog.message(); dialog.dismiss(); });
+  await page.setInputFiles("#file", large);
+  await page.waitForFunction(() => true);
+  assert.match(asked, /large\.pcap\.gz has about 450 MB when unpacked.*may not fit.*editcap/);
+  assert.match(await page.textContent("#name"), /^flight/);
+  assert.deepEqual(page.wrong, []);
+  await page.close();
 });
 
 test("on paper the rows in sight stand below each other, whatever was scrolled", async () => {
