@@ -3,9 +3,11 @@
 """bundle.py [FOLDER]: yapp.lua with all its modules in it, on standard output or as FOLDER/yapp.lua beside taurus_fields.lua.
 
 Wireshark runs each .lua file below a plugin folder as a plugin of its own, so what is installed is one file.  A module keeps
-the name of its file in it: an error says yapp/wire/crc.lua:12, as from the repository.
+the name of its file in it, and its lines: an error says yapp/wire/crc.lua:12, as from the repository.  Comments and
+indentation stay behind: to read them takes longer, at each start, than to compile what a capture without YAPP needs.
 """
 import pathlib
+import re
 import shutil
 import sys
 
@@ -24,6 +26,16 @@ end
 """
 
 
+# A comment, a text, or a line break with indentation.
+TOKEN = re.compile(r"""(?P<comment>--\[(=*)\[.*?\]\2\]|--[^\n]*)
+  |(?P<text>\[(=*)\[.*?\]\4\]|"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')|\n[ \t]+""", re.S | re.X)
+
+
+def shortened(source):
+    """Lua source without comments and indentation, in the same lines."""
+    return TOKEN.sub(lambda found: found[0] if found["text"] else "\n" * found[0].count("\n"), source)
+
+
 def quoted(text):
     """A Lua long string; the line break behind its opening bracket is none of the text's."""
     level = "="
@@ -39,9 +51,9 @@ def bundle(source=TOP):
     modules = []
     for path in sorted((source / "yapp").rglob("*.lua")):
         name = ".".join(path.relative_to(source).with_suffix("").parts)
-        modules.append(f'module("{name}", {quoted(path.read_text(encoding="utf-8"))})\n')
+        modules.append(f'module("{name}", {quoted(shortened(path.read_text(encoding="utf-8")))})\n')
     main = (source / "yapp.lua").read_text(encoding="utf-8")
-    return HEAD + "".join(modules) + f'return chunk(folder .. "yapp.lua", {quoted(main)})(...)\n'
+    return HEAD + "".join(modules) + f'return chunk(folder .. "yapp.lua", {quoted(shortened(main))})(...)\n'
 
 
 def installed(source=TOP):

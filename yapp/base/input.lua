@@ -110,12 +110,12 @@ local TABLES = M.set("values flags bits cases differences derived")
 -- positional  how many values without a name it has
 function M.options(t, what, options, positional)
   for key, value in pairs(t) do
-    local is_positional = M.is_integer(key) and key >= 1 and key <= positional
-    if not (options[key] or is_positional) then
+    if options[key] then
+      demand(not TEXTS[key] or M.is_text(value), "%s must be a text", key)
+      demand(not TABLES[key] or type(value) == "table", "%s must be a table", key)
+    elseif not (M.is_integer(key) and key >= 1 and key <= positional) then
       demand(false, "unknown option %s; %s has %s", M.shown(key), what, M.names(options))
     end
-    demand(not TEXTS[key] or M.is_text(value), "%s must be a text", key)
-    demand(not TABLES[key] or type(value) == "table", "%s must be a table", key)
   end
 end
 

@@ -23,15 +23,19 @@ local IS_WINDOWS = package.config:sub(1, 1) == "\\"
 local Buses = {}
 Buses.__index = Buses
 
+local MAX_FREE = 8 -- numbers of files in a row: a new file gets the lowest that is free
+
 -- Return the read positions of all open files of this process, as one text.  Linux tells them; on
 -- macOS /dev/fd/N is the open file itself.
 local function positions()
-  local list = {}
+  local list, free = {}, 0
   for number = 3, 63 do
     local info = io.open("/proc/self/fdinfo/" .. number)
     local file = info or io.open("/dev/fd/" .. number)
     list[#list + 1] = info and info:read("*l") or file and file:seek()
     if file then file:close() end
+    free = file and 0 or free + 1
+    if free == MAX_FREE then break end
   end
   return table.concat(list, " ")
 end

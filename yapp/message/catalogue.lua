@@ -3,10 +3,11 @@
 -- Pure Lua.
 
 local input = require "yapp.base.input"
-local decode = require "yapp.message.decode"
 local field_kinds = require "yapp.message.field_kinds"
 local fields = require "yapp.message.catalogue_fields"
+local later = require "yapp.base.later"
 local text_of = require "yapp.message.text"
+local decode = later "yapp.message.decode"
 
 local demand, shown = input.demand, input.shown
 
@@ -234,7 +235,10 @@ local function compile_message(entry, reserved, context)
   }
   local size = fields.compile(message, entry, context)
   demand(size == entry.size, "size is %d, but the fields add up to %d bytes", entry.size, size)
-  message.read = decode.new_reader(message)
+  function message.read(payload)
+    message.read = decode.new_reader(message) -- now: most captures have no YAPP
+    return message.read(payload)
+  end
   message.info = text_of.compile_info(message, entry.info or "")
   message.info_rest = text_of.compile_info(message, entry.info_rest or entry.info or "")
   add_all_generated(message, entry)
