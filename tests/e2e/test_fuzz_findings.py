@@ -98,7 +98,7 @@ PLANTED = {
                "FileHandler"),
     "dump reader": ("yapp/file/readers.lua", "local function fill", 'error("planted")',
                     "fuzz/dump_of_another_size.yapp", "FileHandler"),
-    "load": ("yapp/wire/crc.lua", "local M", 'error("planted")', "serial/document_udp.pcap", "Lua:"),
+    "load": ("yapp/wire/frame.lua", "local M", 'error("planted")', "serial/document_udp.pcap", "Lua:"),
     "init": (*INIT, 'error("planted")', "serial/document_udp.pcap", "planted"),
     "exit": (*INIT, "os.exit(7)", "serial/document_udp.pcap", "exit code 7"),
     "crash": (*INIT, 'os.execute("kill -SEGV $PPID")', "serial/document_udp.pcap", "crash: signal 11"),

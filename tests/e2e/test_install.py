@@ -127,7 +127,7 @@ def test_script_leaves_no_globals(home):
 def test_a_leak_is_seen(home):
     """The comparison itself: a plugin that leaves a global behind and changes a function of the library."""
     plugin = install(home / "plugin")
-    text, module = (plugin / "yapp.lua").read_text(), 'module("yapp.wire.crc", [=[\n'
+    text, module = (plugin / "yapp.lua").read_text(), 'module("yapp.wire.frame", [=[\n'
     assert module in text
     leak = "leaked = 1; local rep = string.rep; function string.rep(...) return rep(...) end\n"
     (plugin / "yapp.lua").write_text(text.replace(module, module + leak))
