@@ -294,6 +294,7 @@ local function new_frames()
     of = function(number, offset) return ("bus %d %d"):format(number, offset), "is known" end }
   local view = { show = noted "show", show_without_id = noted "show_without_id" }
   local settings = { accepts_all = false }
+  require("yapp.host.deferral") -- of the frames
   local frames = require("yapp.host.can").new(reading, view, builder, buses, function(id, seq)
     seen.registered = { id, seq }
   end, settings)

@@ -34,7 +34,7 @@ function T.setUp()
   _G.Struct = { unpack = function(_, bytes)
     return big_endian(bytes, 1, 4), big_endian(bytes, 5, 8), bytes:byte(9), bytes:byte(10)
   end }
-  _G.wtap = { USER0 = 45, USB_LINUX = 95, USB_LINUX_MMAPPED = 115 }
+  _G.wtap = { USER0 = 45, USB_LINUX = 95, USB_LINUX_MMAPPED = 115, USBPCAP = 152 }
   for _, name in ipairs(MODULES) do package.loaded["yapp.host." .. name] = nil end
 end
 
@@ -105,6 +105,15 @@ function T.test_definitions()
     lu.assertTrue(#pref[2] > 5 and #pref[4] > 20, name)
     found[name] = { pref[1], pref[3] }
   end
+  local titles = {}
+  for name, pref in pairs(proto.prefs) do titles[name] = pref[2] end
+  lu.assertEquals(titles, {
+    divisor = "Compressed floats divide by", motor_ids = "Motor Data message IDs (0x210 = 528)",
+    odd_ids = "Odd message IDs (0x5 = 5)", messages = "File with your own messages", sources = "Names of sources",
+    hide_source = "Leave the source out of Info", hide_values = "Leave values out of Info that have columns",
+    late = "Report a gap longer than ... periods", all_extended = "All extended CAN frames are YAPP",
+    search_all = "Look for YAPP in all TCP, UDP and USB traffic", user_dlt = "Link types that carry a serial stream",
+  })
   lu.assertEquals(found, {
     divisor = { "enum", 6 }, motor_ids = { "range", "0x210" }, odd_ids = { "range", "0x5" },
     messages = { "string", "" }, sources = { "string", "" }, hide_source = { "bool", false },
@@ -130,6 +139,15 @@ function T.test_ports()
   ports.take(false, 14550)
   ports.take(false, 9)
   lu.assertEquals({ tables["tcp.port"][80], tables["tcp.port"][14550], tables["udp.port"][14550] }, { other, own, own })
+  local function is_of_others(kind, from, to)
+    return ports.is_of_others { port_type = kind, src_port = from, dst_port = to }
+  end
+  tables["udp.port"][44818] = other
+  lu.assertEquals({ is_of_others(3, 44818, 14550), is_of_others(3, 14550, 44818), is_of_others(2, 14550, 44818) },
+    { true, true, false })
+  lu.assertEquals({ is_of_others(3, 44818, 50000), is_of_others(2, 80, 50000), is_of_others(2, 80, 79) }, { false,
+    false, true })
+  tables["udp.port"][44818] = nil
   tables["udp.port"][9] = other -- the user's Decode As
   ports.give_back()
   lu.assertEquals({ tables["tcp.port"], tables["udp.port"] }, { { [80] = other }, { [9] = other } })
@@ -225,7 +243,7 @@ function T.test_packets_of_usb()
   local function inner(name)
     return { call = function() shown[#shown + 1] = name return 5 end }
   end
-  tables.wtap_encap = { [95] = inner("usbmon"), [115] = inner("mapped") }
+  tables.wtap_encap = { [95] = inner("usbmon"), [115] = inner("mapped"), [152] = inner("pcap") }
   local usb, proto, seen = require("yapp.host.usb"), {}, {}
   local mapped = tables.wtap_encap[115]
   usb.watch(proto, function(kind) seen[#seen + 1] = kind end)
@@ -234,6 +252,7 @@ function T.test_packets_of_usb()
   local tvb = { len = function() return 9 end }
   lu.assertEquals({ proto.dissector(tvb, { match_uint = 115 }), proto.dissector(tvb, { match_uint = 95 }) }, { 5, 5 })
   lu.assertEquals({ shown, seen, usb.notes() }, { { "mapped", "usbmon" }, { "usbmon_mapped", "usbmon" }, {} })
+  lu.assertEquals({ proto.dissector(tvb, { match_uint = 152 }), shown[3], seen[3] }, { 5, "pcap", "usbpcap" })
   mapped.call = function() error("damaged") end
   lu.assertEquals(proto.dissector(tvb, { match_uint = 115 }), 9)
   local own_pcall = pcall

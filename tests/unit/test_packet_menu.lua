@@ -93,6 +93,95 @@ function T.test_the_packets_could_not_be_read()
   lu.assertStrContains(seen.failure, "YAPP: no packet was read")
 end
 
+-- Names as a display filter writes them.
+function T.test_names_with_quotes()
+  menu({ sources = "" })
+  seen.items["YAPP/Only this controller"]({ name = "yapp.source", value = 'a "b" \\c' }, { name = "yapp.source",
+    value = "d" })
+  lu.assertEquals(seen.done[1], [[set_filter yapp.source in {"a \"b\" \\c","d"}]])
+end
+
+function T.test_decode_all_ids_of_this_size()
+  menu({ sources = "", motor_ids = "0x210", pump_ids = "" })
+  local tap, fields
+  _G.Listener = { new = function(_, filter)
+    tap = { filter = filter, remove = function() tap = nil end }
+    return tap
+  end }
+  function _G.all_field_infos() return { name = "ip.src", value = 9 }, fields end
+  function _G.retap_packets()
+    for _, one in ipairs { { "motor", 0x300 }, { "motor", 0x215 }, { "motor", 0x300 }, { "pump", 7 } } do
+      fields = { name = "yapp.like." .. one[1], value = one[2] }
+      if tap.filter:find(fields.name, 1, true) then tap.packet() end
+    end
+  end
+  seen.items["YAPP/Decode all IDs of this size as Motor Data"]()
+  lu.assertEquals(seen.done, { "set_preference yapp.motor_ids 0x210,533,768", "apply_preferences",
+    "redissect_packets" })
+  lu.assertNil(tap)
+  seen.done = {}
+  seen.by_size()
+  table.sort(seen.done)
+  lu.assertEquals(seen.done, { "apply_preferences", "redissect_packets", "set_preference yapp.motor_ids 0x210,533,768",
+    "set_preference yapp.pump_ids ,7" })
+end
+
+-- A record of SocketCAN at offset 2: id and flags, length, flags of CAN FD, two bytes, data.
+local function record(word, length, flags, data)
+  local bytes = "\0\0" .. word .. string.char(length, flags, 0, 0) .. data
+  return function(offset, count)
+    local part = bytes:sub(offset + 1, offset + count)
+    local function number(text)
+      local sum = 0
+      for i = 1, #text do sum = sum * 256 + text:byte(i) end
+      return sum
+    end
+    return {
+      uint = function() return number(part) end,
+      le_uint = function() return number(part:reverse()) end,
+      bytes = function() return (part:gsub(".", function(one) return ("%02X"):format(one:byte()) end)) end,
+    }
+  end
+end
+
+function T.test_copy_as_candump()
+  local rows = {
+    { record("\136\64\64\0", 2, 0, "\1\2"), 0x08404000, "08404000#0102" },
+    { record("\0\64\64\136", 2, 0, "\1\2"), 0x08404000, "08404000#0102" }, -- in the host's order
+    { record("\0\0\1\35", 1, 0, "\7"), 0x123, "123#07" },
+    { record("\128\0\1\35", 1, 0, "\7"), 0x123, "00000123#07" },
+    { record("\64\0\1\35", 0, 0, ""), 0x123, "123#R" },
+    { record("\64\0\1\35", 8, 0, ("\0"):rep(8)), 0x123, "123#R8" },
+    { record("\192\0\1\35", 8, 0, ("\0"):rep(8)), 0x123, "00000123#R8" },
+    { record("\0\0\1\35", 9, 5, ("\1"):rep(9)), 0x123, "123##1" .. ("01"):rep(9) },
+    { record("\0\0\1\35", 1, 6, "\1"), 0x123, "123##201" },
+    { record("\0\0\1\35", 1, 3, "\1"), 0x123, "123#01" },
+  }
+  for _, bus in ipairs { "", "can1" } do
+    menu({ sources = "" })
+    local tap
+    _G.Listener = { new = function(_, filter)
+      tap = { filter = filter, remove = function() tap = nil end }
+      return tap
+    end }
+    local lines = {}
+    function _G.retap_packets()
+      lu.assertEquals(tap.filter, "can.id && (frame.number == 7 || yapp.reassembled.in == 9)")
+      for i, row in ipairs(rows) do
+        function _G.all_field_infos() return { name = "can.len" }, { name = "can.id", offset = 2, value = row[2] } end
+        tap.packet({ abs_ts = 1700000000 + i / 4 }, row[1])
+        lines[i] = ("(%d.%s) %s %s\n"):format(1700000000 + math.floor(i / 4), ({ [0] = "000000", "250000", "500000",
+          "750000" })[i % 4],
+          bus == "" and "can0" or bus, row[3])
+      end
+    end
+    function _G.copy_to_clipboard(text) seen.copied = text end
+    local values = { VALUES[1], VALUES[3], bus ~= "" and { name = "yapp.bus", value = bus } or nil }
+    seen.items["YAPP/Copy message as candump"]((table.unpack or unpack)(values)) -- luacheck: ignore
+    lu.assertEquals({ seen.copied, tap }, { table.concat(lines), nil })
+  end
+end
+
 function T.test_decode_this_id_as()
   menu({ sources = "", motor_ids = "0x210" })
   lu.assertEquals(seen.fields["YAPP/Decode this ID as Motor Data"], "yapp.like.motor")

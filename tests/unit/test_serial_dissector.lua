@@ -146,6 +146,12 @@ function T.test_a_datagram()
   lu.assertIs(seen.shown[1][4], tvb)
 end
 
+function T.test_a_frame_of_a_dump()
+  said.line.is_complete, said.line.is_datagram = true, false
+  new_streams():dissect(buffer("YP.."), packet(7))
+  lu.assertEquals({ seen.packets[1].is_complete, seen.packets[1].is_datagram }, { true, false })
+end
+
 function T.test_truncated_packets()
   local streams = new_streams()
   streams:dissect(buffer("YP..", 9), packet(7))
