@@ -144,6 +144,8 @@ function T.test_the_wrapper_comes_and_goes()
   socketcan.unwrap()
   lu.assertIs(seen.tables.wtap_encap[125], before)
   lu.assertEquals(seen.tables["sll.ltype"][0x0C].name, "sll")
+  socketcan.wrap(proto)
+  lu.assertIs(seen.tables.wtap_encap[125], proto)
 end
 
 function T.test_a_wrapper_of_the_first_pass()
@@ -255,6 +257,7 @@ function T.test_records_fill_their_packet()
   end
   lu.assertEquals({ is_record(16, 8, 8), is_record(8, 8, 0), is_record(72, 8, 64), is_record(72, 8, 20) },
     { true, true, true, true })
+  lu.assertTrue(is_record(16, 8, 3))
   lu.assertEquals({ is_record(28, 8, 20), is_record(28, 8, 12), is_record(7, 8, 3), is_record(17, 8, 5) },
     { true, false, false, false })
 end
@@ -381,6 +384,7 @@ function T.test_a_frame_of_others()
   lu.assertEquals({ frames.deferral.number, notes }, { 4, 1 })
   frames.deferral:close()
   lu.assertFalse(frames.deferral.number)
+  lu.assertFalse(frames.deferral:note(buffer(DATA, nil, 8), packet(5)))
 end
 
 -- A frame of zeros may be remote: a header, a field or a column says it.
@@ -425,6 +429,7 @@ function T.test_deferred_frames()
   local zeros = ("\0"):rep(8)
   lu.assertEquals(frames:dissect(buffer(zeros, nil, 8), packet(3), nil, MOTOR, false), 8)
   lu.assertIs(seen.tables.wtap_encap[125], before, "no wrapper any more")
+  lu.assertEquals(seen.asked, false)
   lu.assertNil(seen.frame)
   frames.deferral:on_header(packet(3), buffer(record(EXTENDED + MOTOR, zeros)))
   lu.assertEquals({ seen.frame.data, seen.frame.visited, seen.frame.number }, { zeros, false, 3 })
@@ -483,7 +488,10 @@ function T.test_noted_frames()
   parts.reading.accepted_key = 5 * frame_key.PACKET
   note(5, EXTENDED + MOTOR)
   lu.assertNil(seen.undissected, "Decode As accepted it")
-  lu.assertEquals({ frames.deferral.can, frames.deferral.extended }, { 3, 2 })
+  frames.deferral:note(buffer("", 8, 8), packet(6, { len = 8 }))
+  frames.deferral:on_header(packet(6), buffer(record(EXTENDED + MOTOR, "")))
+  lu.assertNil(seen.undissected, "nothing was captured")
+  lu.assertEquals(frames.deferral.can, 4)
   lu.assertFalse(frames.deferral:note(buffer(DATA, nil, 8), packet(6, { len = 40 })), "no record of SocketCAN")
 end
 

@@ -120,7 +120,8 @@ function T.test_decode_all_ids_of_this_size()
     end
   end
   seen.items["YAPP/Decode all IDs of this size as Motor Data"]()
-  lu.assertEquals(seen.done, { "set_preference yapp.motor_ids 0x210,533,768", "apply_preferences", "redissect_packets" })
+  lu.assertEquals(seen.done, { "set_preference yapp.motor_ids 0x210,533,768", "apply_preferences",
+    "redissect_packets" })
   lu.assertNil(next(taps))
   seen.done = {}
   seen.by_size()
@@ -154,6 +155,7 @@ function T.test_copy_as_candump()
     { record("\0\0\1\35", 1, 0, "\7"), 0x123, "123#07" },
     { record("\128\0\1\35", 1, 0, "\7"), 0x123, "00000123#07" },
     { record("\64\0\1\35", 0, 0, ""), 0x123, "123#R" },
+    { record("\64\0\0\0", 0, 0, ""), 0, "000#R" },
     { record("\64\0\1\35", 8, 0, ("\0"):rep(8)), 0x123, "123#R8" },
     { record("\192\0\1\35", 8, 0, ("\0"):rep(8)), 0x123, "00000123#R8" },
     { record("\0\0\1\35", 9, 5, ("\1"):rep(9)), 0x123, "123##1" .. ("01"):rep(9) },
