@@ -62,8 +62,10 @@ async function build() {
     external: ["fs", "path", "crypto", "ws", "child_process", "perf_hooks", "url", "os", "util", "worker_threads"] })).outputFiles;
   const own = (name) => outputs.find(({ path }) => path.endsWith(name)).contents;
   const gzip = (name) => readFileSync(join(WIREGASM, "dist", `${name}.gz`));
-  const files = { "page.js": own("page.js"), "LICENSE.txt": read(TOP, "LICENSE"),
-    "LICENSE-virtual-core.txt": read(WEB, "node_modules/@tanstack/virtual-core/LICENSE") };
+  const files = { "page.js": own("page.js"), "LICENSE.txt": read(TOP, "LICENSE") };
+  for (const name of ["@tanstack/virtual-core", "birpc"]) {
+    files[`LICENSE-${name.split("/").pop()}.txt`] = read(WEB, "node_modules", name, "LICENSE");
+  }
   for (const name of ["style.css", "SOURCE.txt"]) files[name] = read(WEB, name);
   // Not .gz: some servers say of such a file that it is the packed form of another, and browsers unpack it.
   const assets = { "worker.js": own("worker.js"), "plugin.json": plugin(), "wiregasm.wasm.gzip": gzip("wiregasm.wasm"),

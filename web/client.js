@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The page's side of the worker, and the files that belong to the page.
+import { createBirpc } from "birpc";
 
 // In the offline form a file NAME is a script NAME.js that calls asset(NAME, base64): a page on a disk may not read files.
 const isOffline = document.documentElement.dataset.form === "offline";
@@ -46,7 +47,7 @@ export class Cancelled extends Error {}
 export class Client {
   // say: function(text); progress: function(done, total)
   constructor(say, progress) {
-    Object.assign(this, { say, progress, waiting: new Map(), calls: 0 });
+    Object.assign(this, { say, progress });
   }
 
   // Load what every start of the worker needs.
@@ -65,35 +66,14 @@ export class Client {
   // files: more files, by path; returns what Engine.about does
   start(files) {
     this.running?.terminate();
-    this.end(new Cancelled("cancelled"));
-    this.running = new Worker(this.worker);
-    this.running.onmessage = ({ data }) => this.hear(data);
-    this.running.onerror = ({ message }) => this.end(new Error(`the worker failed: ${message}`));
-    const { module, data } = this;
-    return this.call("start", { module, data, files: { ...this.plugin.files, ...files } });
-  }
-
-  // End what waits for an answer.
-  end(error) {
-    for (const { reject } of this.waiting.values()) reject(error);
-    this.waiting.clear();
+    this.engine?.$close(new Cancelled("cancelled"));
+    const { module, data, plugin, say, progress } = this, worker = this.running = new Worker(this.worker);
+    const engine = this.engine = createBirpc({ say, progress }, { post: (message) => worker.postMessage(message),
+      on: (hear) => { worker.onmessage = (message) => hear(message.data); }, timeout: -1 });
+    worker.onerror = ({ message }) => engine.$close(new Error(`the worker failed: ${message}`));
+    return this.call("start", { module, data, files: { ...plugin.files, ...files } });
   }
 
   // Call a method of the engine.
-  call(name, ...values) {
-    const id = this.calls += 1;
-    return new Promise((resolve, reject) => {
-      this.waiting.set(id, { resolve, reject });
-      this.running.postMessage({ id, name, values });
-    });
-  }
-
-  hear({ id, result, error, isFatal, text, done, total }) {
-    if (text !== undefined) return this.say(text);
-    if (done !== undefined) return this.progress(done, total);
-    const { resolve, reject } = this.waiting.get(id) ?? {};
-    this.waiting.delete(id);
-    if (error === undefined) return resolve?.(result);
-    reject?.(Object.assign(new Error(error), { isFatal }));
-  }
+  call(name, ...values) { return this.engine.$call(name, ...values); }
 }

@@ -41,7 +41,7 @@ async function busy(what, promise) {
     return await promise;
   } catch (error) {
     if (!(error instanceof Cancelled)) notice(error.message);
-    if (error.isFatal) await restart(`Wireshark stopped: most likely its memory is full. Cut the capture, for example by editcap.`);
+    if (error.name === "RuntimeError") await restart("Wireshark stopped: most likely its memory is full. Cut the capture, for example by editcap.");
   } finally {
     clearTimeout(shown);
     $("busy").hidden = true;

@@ -246,7 +246,7 @@ test("too little memory is said: before a capture is opened, and when it is full
   const page = await visit(`${http}#file=flight.pcapng`);
   await page.evaluate(() => { // as when Wireshark's memory is full
     const { call } = viewer;
-    viewer.call = async () => { viewer.call = call; throw Object.assign(new Error("Aborted(OOM)"), { isFatal: true }); };
+    viewer.call = async () => { viewer.call = call; throw Object.assign(new Error("Aborted(OOM)"), { name: "RuntimeError" }); };
   });
   await page.click('#statistics button:has-text("Summary")');
   await page.waitForSelector('#notices:has-text("memory is full")');
