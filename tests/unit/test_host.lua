@@ -74,6 +74,18 @@ function T.test_a_problem_is_said_once()
   lu.assertEquals(said, { "YAPP: preferences: a\npreferences: b", "YAPP: preferences: c" })
 end
 
+function T.test_a_problem_is_said_in_tshark()
+  local stderr, lines = io.stderr, {}
+  io.stderr = { write = function(_, text) lines[#lines + 1] = text end } -- luacheck: ignore
+  for _, is_gui in ipairs { false, true } do
+    function _G.gui_enabled() return is_gui end
+    require("yapp.host.preferences").complain { "a", "b" }
+    _G.report_failure = nil
+  end
+  io.stderr = stderr -- luacheck: ignore
+  lu.assertEquals({ lines, said }, { { "yapp: a\n", "yapp: b\n", "yapp: a\n", "yapp: b\n" }, {} })
+end
+
 function T.test_link_types()
   local take = require("yapp.host.preferences").take_link_types
   local links = tables.wtap_encap or {}
@@ -122,7 +134,8 @@ function T.test_definitions()
   })
   local prefs = proto.prefs
   lu.assertEquals({ prefs.motor_ids[5], prefs.user_dlt[5] }, { 2047, 162 })
-  lu.assertEquals({ prefs.divisor[5][1][3], prefs.divisor[5][2][3] }, { 6, 5 })
+  lu.assertEquals(prefs.divisor[5], { { 1, "2^N - 6 (mapping)", 6 }, { 2, "2^N - 5 (worked examples)", 5 } })
+  lu.assertStrContains(prefs.motor_ids[4], "several controllers share a bus: 0x210-0x213.")
   lu.assertStrContains(prefs.late[4], "Periods: Motor Data 0.1 s.")
   lu.assertStrContains(prefs.motor_ids[4], "0x210 by default, which Wireshark shows as 528.")
 end
@@ -160,9 +173,10 @@ end
 
 -- A segment as Wireshark's TCP gets it: the flags, the header's length in bytes, what follows, how
 -- much was sent, and how much captured.
-local function segment(flags, header, data, sent, captured)
+local function segment(flags, header, data, sent, captured, reserved)
   local ports, seq, ack = "\18\52\0\80", "\255\255\255\255", "\0\0\0\9"
-  local bytes = ports .. seq .. ack .. string.char(header * 4, flags) .. ("\0"):rep(header - 14) .. data
+  local bytes = ports .. seq .. ack .. string.char(header * 4 + (reserved or 0),
+    flags) .. ("\0"):rep(header - 14) .. data
   bytes = bytes:sub(1, captured)
   return {
     len = function() return #bytes end,
@@ -194,11 +208,24 @@ function T.test_headers_of_segments()
     { 0, nil, true, 24, 0, 58 })
   lu.assertEquals({ seen[3].length, seen[3].ack, seen[4].length, #seen }, { 0, 9, 10, 4 })
   lu.assertEquals({ seen[2].is_end, seen[3].is_end }, { false, true })
+  dissect(segment(1, 20, "abc", nil, nil, 1), 9) -- FIN; a reserved bit
+  lu.assertEquals({ seen[5].is_syn, seen[5].is_end, seen[5].ack, seen[5].start }, { false, true, nil, 20 })
+  seen[5] = nil
   dissect(segment(16, 20, "abc"), 5, true) -- an ICMP error quotes it
   dissect(segment(16, 20, "", 40, 19), 6)
   dissect(segment(16, 16, "abcdefgh"), 7)
   dissect(segment(16, 24, "", nil, 22), 8)
   lu.assertEquals(#seen, 4)
+end
+
+-- When Wireshark reloads its Lua plugins, the watch that was there takes TCP away with it.
+function T.test_tcp_comes_back()
+  tables["ip.proto"] = {}
+  require("yapp.host.tcp")
+  lu.assertEquals(tables["ip.proto"][6].name, "tcp")
+  tables["ip.proto"][6], package.loaded["yapp.host.tcp"] = "what is there", nil
+  require("yapp.host.tcp")
+  lu.assertEquals(tables["ip.proto"][6], "what is there")
 end
 
 function T.test_the_current_segment()
@@ -253,12 +280,17 @@ function T.test_packets_of_usb()
   lu.assertEquals({ proto.dissector(tvb, { match_uint = 115 }), proto.dissector(tvb, { match_uint = 95 }) }, { 5, 5 })
   lu.assertEquals({ shown, seen, usb.notes() }, { { "mapped", "usbmon" }, { "usbmon_mapped", "usbmon" }, {} })
   lu.assertEquals({ proto.dissector(tvb, { match_uint = 152 }), shown[3], seen[3] }, { 5, "pcap", "usbpcap" })
+  for _ = 1, 30 do proto.dissector(tvb, { match_uint = 95 }) end
   mapped.call = function() error("damaged") end
   lu.assertEquals(proto.dissector(tvb, { match_uint = 115 }), 9)
-  local own_pcall = pcall
+  local own_pcall, count = pcall, 0
   function _G.pcall() error("past Lua") end
-  for _ = 1, 30 do own_pcall(proto.dissector, tvb, { match_uint = 95 }) end
+  for number = 1, 30 do
+    if tables.wtap_encap[95] == proto then count = number end
+    own_pcall(proto.dissector, tvb, { match_uint = 95 })
+  end
   _G.pcall = own_pcall
+  lu.assertEquals(count, 24)
   lu.assertEquals(tables.wtap_encap[115], mapped)
   lu.assertEquals(usb.notes(), { "Wireshark failed at 24 USB packets: those behind them were not searched" })
 end
