@@ -143,6 +143,24 @@ def joined(rows: list[Record]) -> list[Record]:
 # ---- as HTML
 
 
+def head(data: Record) -> dict[str, str]:
+    """Return of which flight the page is: texts by their mark in report.html."""
+    day = f"{datetime.fromtimestamp(data['epoch'], UTC):%Y-%m-%d}"
+    about = (
+        f"<span><span class=pale>{html.escape(name)}</span> {html.escape(text)}</span>" for name, text in data["about"]
+    )
+    doubts = [text for text in data["left_out"] if text != data["undecoded"]]
+    level = f"Never changed: {'; '.join(data['level'])}." if data["level"] else ""
+    return {
+        "/*NAME*/": html.escape(data["name"]),
+        "/*WHEN*/": f"{day} {_utc(data, 0)} UTC, {_duration(data['length'])}",
+        "/*ABOUT*/": "".join(about),
+        "/*PARTIAL*/": html.escape(" · ".join(doubts)),
+        "/*BEGIN*/": _utc(data, 0),
+        "/*LEVEL*/": html.escape(level),
+    }
+
+
 def undecoded(data: Record) -> str:
     """Return what was not decoded."""
     return f"{html.escape(data['undecoded'])}." if data["undecoded"] else ""

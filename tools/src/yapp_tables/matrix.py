@@ -41,6 +41,12 @@ class Part:
             one for one in known if one.role == "value" and one.unit in units and not one.name.endswith("commanded")
         ]
 
+    def silent(self) -> list[int]:
+        """Return the numbers of the sources that fell silent while another one went on."""
+        last = max(source.times[-1] for source in self.found)
+        both = zip(self.found, self.whose, strict=True)
+        return [who for source, who in both if last - source.times[-1] > LATE * source.every]
+
     def supply(self) -> tuple[Column, Column] | None:
         """Return voltage and current of the supply: of all in V and A, the two whose names begin alike."""
         pairs = [(volts, amperes) for volts in self.fields("V") for amperes in self.fields("A")]
@@ -73,6 +79,7 @@ class Matrix:
         self.measures: dict[tuple[str, str], Measure] = {}
         # A message that is sent to all controllers of a bus, such as a command, is none of one.
         leads = [part for part in parts if part.speed() or part.supply()] or list(parts[:1])
+        self.silent = {sources[who]["controller"] for part in leads for who in part.silent()}
         self.labels: dict[int, str] = {}
         for source in (sources[who] for part in leads for who in part.whose):
             self.labels.setdefault(source["controller"], source["label"])
@@ -139,20 +146,21 @@ class Matrix:
         )
         lines = [f"<thead><tr><th>controller</th>{heads}</tr></thead>"]
         for who, label in self.labels.items():
-            cells = "".join(_cell(one, who) for one in measures)
+            # The mean of a part of the flight is no measure of the controller.
+            cells = "".join(_cell(one, who, who in self.silent and one.title.endswith("mean")) for one in measures)
             lead = f"<th><button type=button class=row data-controller={who}>{html.escape(label)}</button></th>"
             lines.append(f"<tr data-controller={who}>{lead}{cells}</tr>")
         return "".join(lines)
 
 
-def _cell(measure: Measure, who: int) -> str:
-    """One value, with a shade where it is far from the others, and an arrow and a text that say which way."""
+def _cell(measure: Measure, who: int, is_plain: bool = False) -> str:
+    """One value, with a shade where it is far from the others, unless it is plain, and an arrow that says which way."""
     if who not in measure.cells:
         return "<td></td>"
     value = measure.cells[who]
     others = np.array([other for one, other in measure.cells.items() if one != who])
     text, shade, title = f"{value:.4g}", 0, ""
-    if len(others) > 1:
+    if len(others) > 1 and not is_plain:
         middle = float(np.median(others))
         usual = max(
             1.5 * float(np.median(np.abs(others - middle))), USUAL * abs(middle), LEAST.get(measure.unit, 0.001)

@@ -3,7 +3,7 @@
 (async () => {
   const byId = (id) => document.getElementById(id);
   const data = JSON.parse(byId("data").textContent);
-  const HEIGHT = 190, CLOUD = 340, ROW = 18, HEAD = 18, AXIS = 24; // pixels
+  const HEIGHT = 190, CLOUD = 340, ROW = 18, AXIS = 24; // pixels
   const LETTER = 6.5, LEAST = 3; // pixels: of a letter in a bar, of the shortest bar
   const POINTS = 6000, FEWER = 4, PAUSE = 150; // and a part of them, until no zoom follows for so many milliseconds
   const ROWS = 40; // of a table
@@ -370,7 +370,6 @@
       const odd = about.lines.filter((line) => line.odd.length).map(({ source }) => data.sources[source].label).join(", ");
       picture(byId("clouds"), [...head(about), ...odd ? [make("b", { className: "bad", textContent: `odd: ${odd}` })] : []], CLOUD, about.title, false, () => cloud(about));
     }
-    byId("level").textContent = data.level.length ? `Never changed: ${data.level.join("; ")}.` : "";
     byId("job").hidden = !data.clouds.length;
   }
 
@@ -414,14 +413,6 @@
     if (single !== null) (document.querySelector(`figure[data-key="${key}"]`) ?? byId("sources")).scrollIntoView({ block: "start" });
   });
 
-  document.title = `${data.name}: YAPP report`;
-  byId("name").textContent = data.name;
-  byId("when").textContent = `${new Date(data.epoch * 1000).toISOString().slice(0, 10)} ${utc(0)} UTC, ${duration(data.length)}`;
-  byId("about").append(...data.about.map(([name, value]) => make("span", {}, pale(`${name} `), value)));
-  const doubts = data.left_out.filter((text) => text !== data.undecoded);
-  byId("partial").hidden = !doubts.length;
-  byId("partial").textContent = doubts.join(" · ");
-  byId("axis").textContent = `seconds since ${utc(0)} UTC`;
   chips();
   await new Promise((done) => document.addEventListener("DOMContentLoaded", done));
   await new Promise((done) => requestAnimationFrame(() => setTimeout(done))); // the text is seen first

@@ -22,7 +22,7 @@ from .dataset import plain_name
 from .errors import SetupError
 from .flight import Flight
 from .html_table import html_table
-from .incidents import TOGETHER, besides, fault_rows, flag_of, joined, other_rows, table, undecoded, verdict
+from .incidents import TOGETHER, besides, fault_rows, flag_of, head, joined, other_rows, table, undecoded, verdict
 from .limits import Limits
 from .matrix import Matrix
 from .multiples import Multiples
@@ -80,17 +80,16 @@ def write_report(flights: Sequence[Flight], path: Path, limits: Limits | None = 
     found = report.data()
     blob = found.pop("blob")
     parts = {"/*MATRIX*/": report.matrix.html(), "/*MULTIPLES*/": report.multiples.html(report.matrix.labels)}
-    parts |= {"/*UNDECODED*/": undecoded(found), "/*VERDICT*/": verdict(found)}
+    parts |= head(found) | {"/*UNDECODED*/": undecoded(found), "/*VERDICT*/": verdict(found)}
     parts |= {"/*BESIDES*/": besides(found), "/*INCIDENTS*/": table(found)}
     parts |= {"/*VALUES*/": html_table(VALUES, [row for flight in flights for row in _values(flight)])}
-    heads = {name: head for flight in flights for name, head in flight.heads.items()}
+    heads = {name: text for flight in flights for name, text in flight.heads.items()}
     parts |= {"/*SUMMARY*/": html_table(heads, [row for flight in flights for row in flight.sources()])}
     parts |= {"/*DATA*/": json.dumps(found, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")}
     parts |= {"/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8")}
     parts |= {"/*BLOB*/": blob, "/*PLOTLY*/": packed(get_plotlyjs().encode())}
-    for name, text in parts.items():
-        head, _, tail = page.partition(name)
-        page = head + text + tail
+    # Each mark once, from left to right: what stands for one may look like another.
+    page = re.sub("|".join(map(re.escape, parts)), lambda mark: parts[mark[0]], page)
     write_whole(path, page)
     return found
 
