@@ -209,7 +209,9 @@ end
 -- does.
 local function find_id(pinfo)
   local id, is_unknown = socketcan.find_id(pinfo)
-  socketcan.wrap(header) -- from the next frame on the id is known
+  -- From the next frame on the id is known.  Of frames that Wireshark shows once more, its columns
+  -- and trees have it.
+  if is_unknown or not pinfo.visited then socketcan.wrap(header) end
   return id, is_unknown
 end
 
@@ -323,7 +325,7 @@ local function make_statistics()
     end,
     -- A wrapper that is there when Wireshark reloads its Lua plugins takes SocketCAN away with it.
     unwatch = function()
-      if not settings.accepts_all then socketcan.unwrap() end
+      if not buses.found.is_live then socketcan.unwrap() end
     end,
   }
 end

@@ -408,7 +408,7 @@ function T.test_a_statistic_begins()
   lu.assertEquals(heuristics_of(protos.yapp_serial), { "tcp", "udp" })
   parts.unwatch()
   lu.assertEquals(#calls_of("socketcan.unwrap"), 1)
-  parts.settings.accepts_all = true
+  parts.buses.found.is_live = true
   parts.unwatch()
   lu.assertEquals(#calls_of("socketcan.unwrap"), 1)
   lu.assertIs(parts.deferral, rawget(parts.frames, "deferral"))

@@ -3,6 +3,7 @@
 -- luacheck: no max line length (tables and JSON as they are printed)
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local cpu = require("cpu")
 local catalogue_of = require("yapp.message.catalogue")
 local kinds_of = require("yapp.stat.kinds")
 local options_of = require("yapp.stat.options")
@@ -1164,6 +1165,28 @@ function T.test_a_source_that_two_controllers_share()
   lu.assertEquals(verdicts("shared=0,fault=0,motor.gap=9,motor.rate=1,crc=0", records), { "shared=0 left false 1 2",
     "fault=0 left null 0 null", "motor.gap=9 left null 0.1 2", "motor.rate=1 left null 10 3", "crc=0 left true 0 null",
     "unknown=0 null true 0 null" })
+end
+
+-- A recorder gives one source the same stamp for ever: how long its faults lasted is not known, and that is said.
+function T.test_a_source_whose_stamps_stand_still()
+  local cleared = { flags = { { field = FAULT, value = 0, raised = 0, cleared = 1 } } }
+  local records = { record(1, 1, { change = raised(1, 1) }), record(2, 1), record(3, 1, { change = cleared }),
+    record(4, 1, { source = HEALTHY }), record(5, 2, { source = HEALTHY }) }
+  local text = "time stamps of can0 0x210 stand still: how long faults, gaps and silences lasted is not known"
+  for _, row in ipairs { { 2, text }, { 0, nil } } do -- or all of it in one packet
+    for i, one in ipairs(records) do one.frame = row[1] > 0 and i or 1 end
+    local printed, _, texts = run({ "faults,json" }, records)
+    lu.assertEquals(lines(printed)[2]:match('"active":([^,]*)'), row[2] and "null" or "0.000000000")
+    lu.assertEquals(texts[1] == text, row[2] == text)
+  end
+end
+
+-- 400,000 blanks within a rule: neither reading it nor printing it tries each blank as the last one.
+function T.test_blanks_cost_their_number()
+  lu.assertTrue(cpu.is_linear(function(size)
+    local printed, code = run({ "check,fault=0" .. (" "):rep(size) .. "x" }, { record(1, 0) })
+    lu.assertEquals({ code, #printed > size }, { 21, true })
+  end, 20000))
 end
 
 -- What a shared source explains is no event: it did not reboot, nor was it silent.  What came before it stays.

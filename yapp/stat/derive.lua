@@ -26,6 +26,7 @@ local new_event, span, NOTHING = kinds.event, kinds.span, kinds.NOTHING
 local MAX_HELD = 64 -- events of a source, more than there are until it shows that it is shared
 local MAX_GAP = 1.5 -- periods; a longer gap has room for another message
 local NO_SPANS = "how long faults, gaps and silences lasted is not known"
+local STANDING = "time stamps of %s stand still: " .. NO_SPANS
 local LEFT_OUT = "changes of faults, reboots and gaps are unreliable and left out"
 local UNRELIABLE = "nothing tells the buses of %s apart: " .. LEFT_OUT
 local SHARED = "two controllers appear to send %s: from frame %d on " .. LEFT_OUT
@@ -65,7 +66,10 @@ function M.new(settings, statistic, options)
     undecoded = undecoded.new(settings),
     states = states, -- of sources with good messages, in their order, and by source
     by_source = memo(new_state, states),
-    raised_at = {}, -- [fault] = when it rose, see above: until the message counts that clears it
+    -- By fault, until the message counts that clears it:
+    raised_at = {}, -- when it rose, see above
+    raised_in = {}, -- number of the packet
+    standing = {}, -- texts: the sources whose stamps stand still; and by source
     came = {}, -- sources with an event that counts
     copies = 0, -- number of messages that were recorded once more, or several times
     originals = {}, -- [source] = frame key of the latest of them
@@ -107,13 +111,25 @@ end
 
 -- Faults ------------------------------------------------------------------------------------------
 
+-- Return how long a fault was set; nil if the stamps of its messages are equal.
+-- cause  the event of the latest message
+local function active_time(self, cause, fault, till)
+  -- A step back of less than a millisecond is none, see stat.queue.
+  local active = math.max(0, span(self.raised_at[fault] or till, till))
+  local source, standing = cause.source, self.standing
+  if active > 0 or self.raised_in[fault] == cause.frame then return output.seconds(active) end
+  if not standing[source] then
+    standing[source] = true
+    standing[#standing + 1] = STANDING:format(output.bus_and_id(source))
+  end
+end
+
 -- event  "raised", "cleared", or "active" at the end
 local function emit_fault(self, cause, fault, event)
   local flag, active = fault.flag, nil
   if event ~= "raised" then
     local till = event == "cleared" and self.now or self.by_source[cause.source].counted_at
-    -- A step back of less than a millisecond is none, see stat.queue.
-    active = output.seconds(math.max(0, span(self.raised_at[fault] or till, till)))
+    active = active_time(self, cause, fault, till)
   end
   emit(self, "fault", cause, {
     field = fault.field,
@@ -131,10 +147,10 @@ local function note_faults(self, state, cause, faults)
   state.faults = faults.set
   for _, step in ipairs(faults) do
     local fault, is_raised = step.fault, step.is_raised
-    if is_raised then self.raised_at[fault] = self.now end
+    if is_raised then self.raised_at[fault], self.raised_in[fault] = self.now, cause.frame end
     if state.is_counted then
       emit_fault(self, cause, fault, is_raised and "raised" or "cleared")
-      if not is_raised then self.raised_at[fault] = nil end
+      if not is_raised then self.raised_at[fault], self.raised_in[fault] = nil, nil end
     end
   end
 end
@@ -344,6 +360,7 @@ local function notes_of(self, ending)
   local no_times = ending.lacks_times and ending.lacks_times .. ": " .. NO_SPANS
   local notes = joined(problems, { reason }, { no_times }, self.undecoded:texts(), unreliable)
   notes[#notes + 1] = copies_text(self.copies)
+  if not no_times then notes = joined(notes, self.standing) end
   if self.counts then notes[#notes + 1] = hiding(self, ending.now) end
   if not matched then notes[#notes + 1] = ending.hint end
   return notes, ending.problems[1] ~= nil or unreliable[1] ~= nil

@@ -251,7 +251,8 @@ local function line_of(columns, texts)
     local cell = column.is_number and blanks .. text or text .. blanks
     if not column.is_empty then cells[#cells + 1] = cell end
   end
-  return (table.concat(cells, "  "):gsub("%s*$", "\n", 1))
+  -- gsub("%s*$") would try each blank as the first of the last ones.
+  return (table.concat(cells, "  "):match(".*%S") or "") .. "\n"
 end
 
 --- Sort a list.  Entries with equal values keep their order.

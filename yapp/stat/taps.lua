@@ -42,7 +42,7 @@ Stat.__index = Stat
 --              those of them that certainly decode YAPP
 --   notes      function() -> list of texts to say of streams
 --   watch      function(), called when statistics begin
---   unwatch    function(), called in Wireshark when one has ended
+--   unwatch    function(), called in Wireshark when one has ended, and when packets have come
 --   counted    function(f) -> f, whose calls are counted
 --   calls      { begun, ended = numbers }: of these calls since the capture was opened }
 function M.new(parts)
@@ -297,7 +297,10 @@ local function count_packets(self, note_packets)
     if number > self.total then self.total = number end
     if self.note_progress and number % STEP == 0 then self.note_progress(number) end
   end
-  tap.draw = note_packets
+  function tap.draw()
+    note_packets()
+    self.unwatch()
+  end
 end
 
 --- Forget the capture file.  A live capture with -b may go on in another one, of which tshark
