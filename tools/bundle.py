@@ -6,6 +6,7 @@ Wireshark runs each .lua file below a plugin folder as a plugin of its own, so w
 the name of its file in it, and its lines: an error says yapp/wire/crc.lua:12, as from the repository.  Comments and
 indentation stay behind: to read them takes longer, at each start, than to compile what a capture without YAPP needs.
 """
+import argparse
 import pathlib
 import re
 import shutil
@@ -71,7 +72,9 @@ def write(folder, source=TOP):
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        write(pathlib.Path(sys.argv[1]))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", nargs="?", type=pathlib.Path)
+    if folder := parser.parse_args().folder:
+        write(folder)
     else:
         sys.stdout.write(bundle())
