@@ -208,6 +208,9 @@ def test_settings(interface, calls):
         (str(number), call) for number, call in enumerate(calls)]
     for line in out.splitlines():
         assert re.fullmatch(r"(arg|value) (\{\w+=[^{}]+\})+", line), line
+    tooltips = dict(re.findall(r"\{call=--([\w-]+)\}.*\{tooltip=(.*?)\}", out))
+    if interface == "yapp-serial":  # which of the two is which
+        assert "controller's data" in tooltips["port"] and "other direction" in tooltips["second"], tooltips
 
 
 def test_defaults_are_the_documents():
