@@ -40,6 +40,7 @@ end)
 
 local binary = require "yapp.message.binary"
 local bus_finder = require "yapp.host.buses"
+local capture = require "yapp.host.capture"
 local can_id = require "yapp.wire.can_id"
 local catalogue_files = require "yapp.message.catalogue_files"
 local compiler = require "yapp.message.catalogue"
@@ -60,6 +61,7 @@ local stat_names = require "yapp.stat.names"
 local can_dissector = later "yapp.host.can"
 local packet_menu = later "yapp.show.packet_menu"
 local reading_of = later "yapp.reading.reading"
+local search = later "yapp.host.search"
 local serial_dissector = later "yapp.host.serial"
 local show_frame = later "yapp.show.frame"
 local show_packet = later "yapp.show.packet"
@@ -319,9 +321,13 @@ local function make_statistics()
     deferral = frames.deferral,
     counted = counted,
     calls = calls,
-    watch = function()
+    watch = function(path)
       watch_unclaimed()
-      if not gui_enabled() then search_streams() end
+      if gui_enabled() then return end
+      search_streams()
+      if path and buses:has_more_to_read() then
+        streams:expect(search.conversations(path, capture.HEAD))
+      end
     end,
     -- A wrapper that is there when Wireshark reloads its Lua plugins takes SocketCAN away with it.
     unwatch = function()

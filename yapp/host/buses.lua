@@ -167,6 +167,11 @@ function Buses:missed_file()
   return not (IS_TSHARK or self.has_seen_file)
 end
 
+--- Whether the capture is a regular file, and longer than its first bytes.
+function Buses:has_more_to_read()
+  return not (self.is_short or self.is_long_pipe)
+end
+
 --- Return whether the capture is known to have several buses.
 function Buses:are_several()
   return self.found.has_several or file_readers.log().has_several

@@ -31,7 +31,7 @@ function M.new(reading, view, builder, buses, tcp_header)
     buses = buses,
     tcp_header = tcp_header,
     in_pieces = {}, -- conversations, see Dissector:notes
-    conversations = {}, -- those that the first bytes of the file have, see Dissector:scan
+    conversations = {}, -- those that are known to be in the file, see Dissector:expect
     inside = false, -- what TLS found in the current packet, see put_inside
     usb = false, -- of serial.usb
   }, Dissector)
@@ -44,12 +44,20 @@ function Dissector:reset()
   ports.give_back()
 end
 
+--- Expect conversations, which the bytes of the file have.
+-- conversations  of serial.senders
+function Dissector:expect(conversations)
+  self.reading.lines:await(conversations)
+  for _, one in ipairs(conversations) do
+    self.conversations[#self.conversations + 1] = one
+    ports.take(one.is_tcp, one.port)
+  end
+end
+
 --- Look at the first bytes of the capture file, which may have frames.
 function Dissector:scan(head)
   self.reading.lines.senders:scan(head)
-  self.conversations = senders.conversations(head)
-  self.reading.lines:await(self.conversations)
-  for _, one in ipairs(self.conversations) do ports.take(one.is_tcp, one.port) end
+  self:expect(senders.conversations(head))
   if self.reading:is_yapp(head) then self:watch_tcp() end
 end
 
@@ -140,7 +148,7 @@ function Dissector:notes()
 end
 
 --- Return the options of tshark that decode the conversations that another protocol took, of those
--- in the first bytes of the file: a list.
+-- that are expected: a list.
 function Dissector:options()
   return senders.options(self.reading.lines:unread(self.conversations))
 end

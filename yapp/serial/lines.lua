@@ -158,7 +158,10 @@ end
 --- Await the first frames that the file has of conversations: another protocol may take them.
 -- conversations  of serial.senders
 function Lines:await(conversations)
-  for _, one in ipairs(conversations) do self.awaited[key_of(one)] = one.payload end
+  for _, one in ipairs(conversations) do
+    local key = key_of(one)
+    self.awaited[key] = self.awaited[key] or one.payload
+  end
 end
 
 --- Note that a frame of a line was read.

@@ -138,9 +138,12 @@ local function addresses_before(bytes, index, protocol)
 end
 
 -- Return an iterator over the starts of what may be frames.
-local function frames_in(bytes)
-  local start = 0
+-- count  how many at most, nil for all
+local function frames_in(bytes, count)
+  local start, rest = 0, count or #bytes
   return function()
+    rest = rest - 1
+    if rest < 0 then return nil end
     repeat
       start = frame.find(bytes, start + 1)
     until not start or frame.is_plausible(bytes, start)
@@ -181,15 +184,16 @@ local function first_payload(bytes, start)
   return is_inside and to <= #bytes and sub(bytes, from, to) or nil
 end
 
---- Return the conversations that have frames in the first bytes of a file.
+--- Return the conversations that have frames in bytes of a file.
+-- count    how many frames are looked at, nil for all
 -- returns  list of {
 --   is_tcp
 --   from, to  the sender and the receiver of the first frame, "address:port" each
 --   payload   of this frame, nil if it is not known
 --   port      the lower one, which is the server's }
-function M.conversations(bytes)
+function M.conversations(bytes, count)
   local list, is_there = {}, {}
-  for start in frames_in(bytes) do
+  for start in frames_in(bytes, count) do
     for _, row in ipairs(BEFORE) do
       local index = start - row[2]
       local from, to

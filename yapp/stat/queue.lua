@@ -313,7 +313,8 @@ end
 
 -- Return the traces of YAPP in other packets: a list of texts.
 local function unread_packets(self, capture)
-  if not (self.has_messages and capture.certain and capture.certain[1]) then return {} end
+  if not (capture.certain and capture.certain[1]) then return {} end
+  if not self.has_messages then return { "the capture has YAPP that was not decoded" } end
   return { "YAPP in other packets was not decoded: try " .. table.concat(capture.certain, " ") }
 end
 

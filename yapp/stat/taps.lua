@@ -41,7 +41,7 @@ Stat.__index = Stat
 --   find_options  function() -> list of tshark's options that may decode what was not found, and
 --              those of them that certainly decode YAPP
 --   notes      function() -> list of texts to say of streams
---   watch      function(), called when statistics begin
+--   watch      function(path), called when statistics begin; path of tshark's file or nil
 --   unwatch    function(), called in Wireshark when one has ended, and when packets have come
 --   counted    function(f) -> f, whose calls are counted
 --   calls      { begun, ended = numbers }: of these calls since the capture was opened }
@@ -154,7 +154,7 @@ local function open(self)
   self.deferral:open(function()
     if self.queue.is_direct then self.headers = self.headers or tap_headers(self) end
   end)
-  self.watch()
+  self.watch(self.command.r or self.command["read-file"])
   tap_packets(self)
 end
 
