@@ -126,8 +126,13 @@ def test_values_in_columns_have_as_many_digits_as_they_need(home):
     assert len(values) > 200
     for shape, column in zip((r"-?\d+", r"-?\d+", r"-?\d+(\.\d\d?)?", r"-?\d+(\.\d\d?)?", r"-?\d+", r"-?\d+"), zip(*values)):
         assert len(set(column)) > 1 and all(re.fullmatch(shape, cell) and cell != "-0" for cell in column), (shape, set(column))
-    exact = tshark.fields(tshark.ROOT / "docs/flight.pcapng", ["taurus.motor.dc_voltage"], "-Y", "taurus.motor")
-    assert any(len(row if isinstance(row, str) else row[0]) > 6 for row in exact)
+    names = re.findall(r"(taurus\.motor\.\w+)\.rounded", (PROFILE / "preferences").read_text())[:6]
+    exact = tshark.fields(tshark.ROOT / "docs/flight.pcapng", names, "-Y", "taurus.motor")
+    assert len(set(names)) == 6 and any(len(cell) > 6 for row in exact for cell in row)
+    for cells, row in zip(values, exact, strict=True):
+        for rounded, wanted in zip(cells, row):
+            unit = 10 ** -len(rounded.partition(".")[2]) if "." in rounded else 1
+            assert abs(float(rounded) - float(wanted)) <= unit / 2 + 1e-9, (names, cells, row)
 
 
 def test_a_column_for_each_controller(home):
