@@ -56,7 +56,7 @@ function T.test_stamps_of_several_recorders()
     add(queue, one)
     local function packet(stamp)
       number = number + 1
-      queue:packet(number, stamp)
+      queue:packet(number, stamp, function() return false end)
     end
     for i = 1, 40 do
       for k, source in ipairs(sources) do

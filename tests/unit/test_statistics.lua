@@ -110,13 +110,14 @@ local function run(arguments, records, with)
     matched = queue:add(statistic, options).matched
   end
   queue:begins(with.epoch or 1700000000, 5, 0)
+  local function lacks_clock() return with.lacks_clock end
   add_faults(records)
   for _, one in ipairs(records) do
     if one.kind == "undissected" then queue:add_undissected(one) else queue:offer(one, false) end
     if with.matches and with.matches[one.frame] then rawset(matched, one.frame, true) end
-    queue:packet(one.frame, one.time, with.lacks_clock)
+    queue:packet(one.frame, one.time, lacks_clock)
   end
-  if with.last then queue:packet(9999, with.last, with.lacks_clock) end
+  if with.last then queue:packet(9999, with.last, lacks_clock) end
   local code, texts = queue:finish { unfinished = with.unfinished or {}, drops = with.drops or {},
     problems = { with.unread }, unread = with.unread,
     lacks_times = with.lacks_times, extended = with.extended or 0, can = with.can or 0 }

@@ -26,9 +26,9 @@ end
 local function new_queue(settings, hint)
   local queue = { settings = settings, hint = hint, packets = 0, is_direct = false }
   seen.queue = queue
-  function queue.packet(self, ...)
+  function queue.packet(self, number, rel, lacks_clock)
     self.packets = self.packets + 1
-    table.insert(seen.packets, { ... })
+    table.insert(seen.packets, { number, rel, lacks_clock() })
   end
   function queue.begins(_, ...) seen.begins = { ... } end
   function queue.reset() seen.resets = seen.resets + 1 end

@@ -94,7 +94,8 @@ local function time_of(self, event)
   end
   local now = event.time + clock.fallen
   if event.kind ~= "message" and event.kind ~= "crc" then return now end -- a loss may come late
-  local step = kinds.span(now, clock.latest or now)
+  local is_back = clock.latest and now < clock.latest
+  local step = is_back and kinds.span(now, clock.latest) or 0
   if step > MAX_STEP then
     local fall = fall_of(step)
     clock.fallen, now = clock.fallen + fall, now + fall
@@ -264,15 +265,15 @@ end
 --- Say that a packet of any kind has been dissected.
 -- number, rel  of the packet; rel = seconds since the first one.  With tshark -2 -R the number of a
 --              packet that the first pass rejected is another's in the second, with another time
--- lacks_clock  whether rel is the time of a controller: to go back is no event then
+-- lacks_clock  function() -> whether rel is the time of a controller: to go back is no event then
 function Queue:packet(number, rel, lacks_clock)
-  flush(self)
+  if self.waiting[1] then flush(self) end
   local last = self.last or rel
   self.last, self.latest, self.packets = rel, number, self.packets + 1
   if rel ~= last then self.has_progress = true end
   local event = number == self.number and self.offered[#self.offered]
   if event and event.time ~= rel then event = nil end
-  if lacks_clock or rel >= last and not self.offsets[2] then
+  if rel >= last and not self.offsets[2] or lacks_clock() then
     self.now = rel + self.offsets[1]
   else
     note_step(self, number, rel, kinds.span(last, rel), event)

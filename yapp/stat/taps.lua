@@ -120,6 +120,7 @@ end
 local function tap_packets(self)
   local tap, clock, is_waiting = listen(self), tap_clock(self), IS_TSHARK
   local calls, buses, deferral = self.calls, self.buses, self.deferral
+  local function lacks_clock() return buses:lacks_clock() end
 
   -- Every packet comes here, so nothing else is called that need not be.
   function tap.packet(pinfo, tvb)
@@ -131,7 +132,7 @@ local function tap_packets(self)
     end
     if deferral.is_undecided then deferral:decide(self.builder.wanted) end
     local rel = buses.found.start and buses:time(pinfo) or pinfo.rel_ts
-    self.queue:packet(pinfo.number, rel, buses:lacks_clock())
+    self.queue:packet(pinfo.number, rel, lacks_clock)
     calls.ended = calls.ended + 1
   end
 
