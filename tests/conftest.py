@@ -36,6 +36,7 @@ SKIPS = [
     ("root reads everything", "root", "as an ordinary user: the workflow test"),
     ("root may read everything", "root", "as an ordinary user: the workflow test"),
     ("strace is not allowed here", "", "where a process may trace its child: .ci/run"),
+    ("no strace", "chroot", "make test"),
     ("no filter names a column", "old", "Wireshark 4.4 and 4.6: the workflow test"),
     ("from 4.4 on", "old", "Wireshark 4.4 and 4.6: tests/matrix --gui"),
     ("from 4.6 on", "old new", "Wireshark 4.6: tests/matrix --gui"),
