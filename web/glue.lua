@@ -20,6 +20,9 @@ local function ignore() end
 -- The plugin reads the header of each CAN frame, so that remote frames are no data.
 yapp_reads_headers = true
 
+-- The page opens whole captures: no packet comes after the last.
+yapp_is_whole = true
+
 -- The page is one of Wireshark's windows: packets can be read again at any time.
 function gui_enabled() return true end
 

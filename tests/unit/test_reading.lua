@@ -258,8 +258,9 @@ local function visit_packet(capture, kind, bytes, with)
   capture.number = number
   local address = kind == 0 and "" or "10.0.0.1"
   local line = capture.reading.lines:of(kind, address, 5000, "10.0.0.2", 14550, nil, not with.visited and number / 10)
-  local packet = { key = number * frame_key.PACKET + 42, number = number, time = number / 10, epoch = false,
-    visited = with.visited or false, bytes = bytes, length = #bytes + (with.truncated or 0),
+  local packet = { key = number * frame_key.PACKET + 42, number = number, time = number / 10,
+    visited = with.visited or false, epoch = with.epoch or false, bytes = bytes,
+    length = #bytes + (with.truncated or 0),
     truncated = with.truncated ~= nil, is_datagram = line.is_datagram, is_complete = line.is_complete,
     is_tcp = line.is_tcp, is_found = capture.reading.found[line.trial_key], line = line, stream = line.key,
     tag = line.tag, bus_name = line.bus, seq = with.seq, is_bus_known = true, is_only_pass = false,
@@ -352,6 +353,23 @@ function T.test_the_end()
   capture = new_capture()
   add_all(capture, list)
   lu.assertEquals(finish(capture, false), {})
+end
+
+-- A page asks for several statistics of a whole capture: what waits is no copy of itself.
+function T.test_the_end_twice()
+  local capture = new_capture()
+  visit_packet(capture, lines.TCP, MOTOR_FRAME, { seq = 100, epoch = 1 })
+  visit_packet(capture, lines.TCP, HEALTH_FRAME, { seq = 100 + #MOTOR_FRAME + 9, epoch = 1 }) -- behind a gap
+  local function ending()
+    local list = {}
+    for i, result in ipairs(capture.reading:finish(false)) do
+      list[i] = ("%s %s"):format(result.kind, result.message and result.message.copy_of)
+    end
+    return list
+  end
+  local first = ending()
+  lu.assertTrue(#first > 0)
+  lu.assertEquals(ending(), first)
 end
 
 -- The message of a known bus may have gone on unseen once frames come whose bus is not known.

@@ -307,8 +307,10 @@ end
 --- Return the results of what waits when all packets have come: messages that the capture ends
 -- before, and others behind a frame that seems to be open, or behind a gap in a TCP connection.
 -- may_go_on  whether more packets may come, as in Wireshark: there every message that waits is one
---            that the capture ends before
+--            that the capture ends before; otherwise the first answer is the answer: messages that
+--            are read again would be copies
 function Reading:finish(may_go_on)
+  if self.ending then return self.ending end
   local list = {}
   finish_frames(self, list)
   for _, open in ipairs(self.streams:unfinished()) do
@@ -316,6 +318,7 @@ function Reading:finish(may_go_on)
       list[#list + 1] = waiting_result(self, open.packet, finding, i, may_go_on)
     end
   end
+  if not may_go_on then self.ending = list end
   return list
 end
 

@@ -16,6 +16,7 @@ local M = {}
 local CLOCK = "frame.time_epoch || can.id || can.flags.xtd == 1 || can.flags.rtr == 1"
 local STEP = 10000 -- packets from one note of progress to the next
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
+local MAY_GO_ON = gui_enabled() and not yapp_is_whole -- a live capture; a page opens whole ones
 local FAILED = "the plugin failed, so the answer is incomplete: %s, see the filter _ws.lua.error"
 local UNREAD = "only %d of %d packets were read, as the reading was stopped, or another window " ..
   "read: press Refresh"
@@ -189,7 +190,7 @@ local function finish(self)
   self.queue:end_packets()
   local options, certain = self.find_options()
   return self.queue:finish {
-    unfinished = self.intake:finish(reading:finish(not IS_TSHARK)),
+    unfinished = self.intake:finish(reading:finish(MAY_GO_ON)),
     drops = joined(buses:drops(), reading:drops()),
     lacks_times = buses:lacks_times(),
     options = options,
