@@ -211,4 +211,5 @@ def test_a_damaged_log(folder):
     path.write_bytes(cut_off(gzip.compress(text.encode(), 1)))
     done = tshark.run("-q", "-r", path, "-z", "yapp,check,motor.count=100", check=False, lua_errors=True)
     assert re.search("the file cannot be read behind byte|cut short", done.stderr) and done.returncode not in (0, 21)
-    assert re.search(r"(?m)^ok +motor.count=100 +can1", done.stdout)
+    if tshark.version() < (4, 4):  # later versions do not open it
+        assert re.search(r"(?m)^ok +motor.count=100 +can1", done.stdout)
