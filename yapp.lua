@@ -160,7 +160,7 @@ end
 -- Make what reads and shows YAPP: a frame, a packet or a statistic needs it.
 local function make_reading()
   if streams then return end
-  reading = reading_of.new(types, buses)
+  reading = reading_of.new(types, buses, register_start)
   builder = show_tree.new {
     yapp = yapp,
     taurus = taurus,
@@ -170,8 +170,7 @@ local function make_reading()
     taurus_fields = taurus_fields,
     names = default_names,
   }
-  frames = can_dissector.new(reading, show_frame.new(builder), builder, buses, register_start,
-    settings)
+  frames = can_dissector.new(reading, show_frame.new(builder), builder, buses, settings)
   streams = serial_dissector.new(reading, show_packet.new(builder), builder, buses, tcp_header)
   reset_reading()
 end
@@ -220,7 +219,11 @@ end
 -- Decode As on CAN: every extended data frame is YAPP's.
 local function dissect_any(tvb, pinfo, root)
   local id, is_unknown = find_id(pinfo)
-  if id then return frames:dissect(tvb, pinfo, root, id, true) end
+  if id then
+    local length = frames:dissect(tvb, pinfo, root, id, true)
+    if length > 0 then frames.deferral:forget() end
+    return length
+  end
   return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
 end
 

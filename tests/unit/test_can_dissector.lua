@@ -279,13 +279,10 @@ local function new_frames()
     seen.frame = one
     return one
   end
-  local reading = { newest_key = -1, accepted_key = -1, recall_frame = function(_, frame)
+  local reading = { newest_key = -1, read_frame = function(self, frame)
     copy(frame)
-    return said.recalled
-  end, add_frame = function(self, frame)
+    if frame.visited then return said.recalled end
     self.newest_key = frame.key
-    frame.source = { message = said.message }
-    copy(frame)
     return said.result
   end, report_undissected = function(_, frame) seen.undissected = frame end }
   local wants = { shows = false, tree = false, columns = false, state = "state", is_only_pass = "only" }
@@ -294,13 +291,12 @@ local function new_frames()
     return wants
   end }
   local buses = { found = {}, bus_is_per_packet = false, time = function() return 99 end,
+    time_name = "rel_ts", start = 0,
     of = function(number, offset) return ("bus %d %d"):format(number, offset), "is known" end }
   local view = { show = noted "show", show_without_id = noted "show_without_id" }
   local settings = { accepts_all = false }
   require("yapp.host.deferral") -- of the frames
-  local frames = require("yapp.host.can").new(reading, view, builder, buses, function(id, seq)
-    seen.registered = { id, seq }
-  end, settings)
+  local frames = require("yapp.host.can").new(reading, view, builder, buses, settings)
   frames:reset()
   return frames, { reading = reading, wants = wants, buses = buses, settings = settings }
 end
@@ -312,14 +308,14 @@ function T.test_a_frame_is_read()
   said.result, said.message = { is_usual = true }, {}
   lu.assertEquals(frames:dissect(buffer(DATA, nil, 8), packet(3), nil, MOTOR + 5, false), 8)
   local fields = require("yapp.wire.can_id").fields[MOTOR + 5]
-  lu.assertEquals({ fields.id, fields.ctrl, seen.frame.seq }, { 0x210, 1, 5 })
+  lu.assertEquals({ fields.id, fields.ctrl, fields.seq }, { 0x210, 1, 5 })
   lu.assertEquals({ seen.frame.key, seen.frame.number, seen.frame.time, seen.frame.data, seen.frame.reported },
     { 3 * frame_key.PACKET + 8, 3, 0.3, DATA, 8 })
   lu.assertEquals({ seen.frame.visited, seen.frame.bus, seen.frame.is_bus_known, seen.frame.accepts_all },
     { false, false, true, false })
   lu.assertEquals({ seen.frame.wants_state, seen.frame.is_only_pass }, { "state", "only" })
   lu.assertIs(seen.frame.can_id, fields)
-  lu.assertEquals({ seen.calls, seen.registered }, { {} }, "nothing is to be shown, and its ID is known")
+  lu.assertEquals(seen.calls, {}, "nothing is to be shown")
   lu.assertEquals(frames:dissect(buffer("", 0), packet(4), nil, MOTOR, false), 0)
   lu.assertEquals({ frames:dissect(buffer("\9"), packet(4), nil, MOTOR, false), seen.frame.data }, { 1, "\9" })
   lu.assertEquals(frames:dissect(buffer("", 8), packet(4), nil, MOTOR, false), 8)
@@ -328,10 +324,11 @@ end
 
 function T.test_what_the_capture_says_of_a_frame()
   local frames, parts = new_frames()
-  parts.buses.bus_is_per_packet, parts.buses.found = true, { offset = 40, start = 1 }
+  parts.buses.bus_is_per_packet, parts.buses.found = true, { offset = 40 }
+  parts.buses.time_name, parts.buses.start = "abs_ts", 1
   frames:reset()
   said.result, said.message = { is_usual = true }, {}
-  frames:dissect(buffer(DATA, nil, 8), packet(3), nil, MOTOR, true)
+  frames:dissect(buffer(DATA, nil, 8), packet(3, { abs_ts = 100 }), nil, MOTOR, true)
   lu.assertEquals({ seen.frame.key, seen.frame.bus, seen.frame.is_bus_known, seen.frame.time, seen.frame.accepts_all },
     { 3 * frame_key.PACKET + 40, "bus 3 40", "is known", 99, true })
 end
@@ -354,23 +351,18 @@ function T.test_a_frame_that_is_visited()
   local frames, parts = new_frames()
   said.result, said.recalled, said.message = { is_usual = true }, { is_usual = true }, {}
   frames:dissect(buffer(DATA), packet(3), nil, MOTOR, false)
+  seen.asked = nil
+  frames:dissect(buffer(DATA), packet(4), nil, MOTOR, false)
   lu.assertNil(seen.asked, "what is wanted is known")
   parts.wants.shows = true
   frames:dissect(buffer(DATA), packet(3, { visited = true }), nil, MOTOR, false)
   lu.assertEquals({ seen.frame.visited, seen.asked }, { true, true })
   lu.assertIs(seen.calls[1][2], said.recalled)
-  lu.assertTrue(frames:is_second_pass(2))
-  lu.assertFalse(frames:is_second_pass(3))
-end
-
-function T.test_an_unknown_id()
-  local frames = new_frames()
-  said.result = { is_usual = true }
-  frames:dissect(buffer(DATA), packet(3), nil, MOTOR + 7, false)
-  lu.assertEquals(seen.registered, { 0x210, 7 })
-  seen.registered = nil
-  frames:dissect(buffer(DATA), packet(4), nil, MOTOR + 0x4000, false)
-  lu.assertNil(seen.registered, "a Middle")
+  lu.assertTrue(frames:is_second_pass(3))
+  lu.assertFalse(frames:is_second_pass(4))
+  seen.asked = nil
+  frames:dissect(buffer(DATA), packet(5), nil, MOTOR, false)
+  lu.assertEquals({ seen.frame.visited, seen.asked }, { false, false }, "asked again behind a revisit")
 end
 
 function T.test_a_frame_of_others()
@@ -485,13 +477,14 @@ function T.test_noted_frames()
   lu.assertEquals(frame.can_id.id, 0x210)
   seen.undissected = nil
   note(4, MOTOR % 0x800)
-  parts.reading.accepted_key = 5 * frame_key.PACKET
-  note(5, EXTENDED + MOTOR)
+  lu.assertTrue(frames.deferral:note(buffer(DATA, nil, 8), packet(5)))
+  frames.deferral:forget()
+  lu.assertFalse(frames.deferral.number)
   lu.assertNil(seen.undissected, "Decode As accepted it")
   frames.deferral:note(buffer("", 8, 8), packet(6, { len = 8 }))
   frames.deferral:on_header(packet(6), buffer(record(EXTENDED + MOTOR, "")))
   lu.assertNil(seen.undissected, "nothing was captured")
-  lu.assertEquals(frames.deferral.can, 4)
+  lu.assertEquals(frames.deferral.can, 3)
   lu.assertFalse(frames.deferral:note(buffer(DATA, nil, 8), packet(6, { len = 40 })), "no record of SocketCAN")
 end
 

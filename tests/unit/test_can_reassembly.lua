@@ -618,4 +618,21 @@ function T.test_a_flood_gives_up_what_interleaves()
   lu.assertEquals(found.message.status, "superseded")
 end
 
+-- The Starts of IDs without a message type are told, so that Wireshark calls YAPP for the frames behind them.
+function T.test_starts_of_unknown_ids()
+  local told = {}
+  local known = require("yapp.can.reassembly").new(nil, nil, function(id, seq) told[#told + 1] = { id, seq } end)
+  local function add(id, ctrl, seq, size)
+    local fields = require("yapp.wire.can_id").fields[id * 0x40000 + ctrl * 0x4000 + seq]
+    known:add { key = #told + 1, can_id = fields, time = 0, slot = fields.message_key, bus = false,
+      source = { size = size, min_size = size }, data = "\0\0\0\0\16\0\0\0", reported = 8, is_only_pass = true }
+  end
+  add(0x123, 1, 0)
+  add(0x123, 2, 0)
+  add(0x123, 1, 9)
+  add(0x124, 1, 9) -- no Seq No 0 came
+  add(0x210, 1, 0, 16)
+  lu.assertEquals(told, { { 0x123, 0 }, { 0x123, 9 } })
+end
+
 return T

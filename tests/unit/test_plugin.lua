@@ -216,7 +216,7 @@ end
 -- Of an unknown ID all Starts once one came, and of the other frames the Seq Nos that came.
 function T.test_can_ids_of_an_unknown_id()
   open(true)
-  local register_start, added = seen.made.can[5], seen.tables["can.extended_id"].added
+  local register_start, added = seen.made.reading[3], seen.tables["can.extended_id"].added
   register_start(0x300, 7)
   register_start(0x300, 9)
   register_start(0x300, 7)
@@ -366,7 +366,7 @@ function T.test_what_is_read_of_preferences()
   lu.assertEquals(settings.ids, { command = { 0 }, motor = { 528 }, health = { 512 } })
   lu.assertEquals(settings.sources:name("can0", 0x210), "left")
   lu.assertEquals(settings.problems, {})
-  lu.assertIs(seen.made.can[6], settings)
+  lu.assertIs(seen.made.can[5], settings)
 end
 
 function T.test_all_extended_frames()

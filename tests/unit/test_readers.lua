@@ -424,7 +424,8 @@ function T.test_what_the_file_or_its_reader_says()
     { head = "differing" })
   lu.assertEquals({ buses:lacks_times(), buses:stamps_differ(), buses:are_several() }, { true, true, true })
   lu.assertEquals(buses:time { abs_ts = 102.5, rel_ts = 7 }, 2.5)
-  buses.found.start = nil
+  buses.seen.start = nil
+  buses:init()
   lu.assertEquals(buses:time { abs_ts = 102.5, rel_ts = 7 }, 7)
   function buses.found.name(_, ...)
     seen.asked = { ... }

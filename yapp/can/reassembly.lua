@@ -28,6 +28,7 @@ local store = require "yapp.can.store"
 local M = {}
 
 local concat = table.concat
+local END = can_id.END
 
 local MAX_OPEN = 1024 -- an open message costs memory until something ends it
 local MAX_TRIES = 64 -- to leave out fragments that came twice
@@ -44,9 +45,11 @@ Reassembly.__index = Reassembly
 --- Make the reassembly of one capture.
 -- max_open   messages that may be open at once; 1024 if left out
 -- can_judge  function(time) -> whether time stamps tell what is a copy; they always do if left out
-function M.new(max_open, can_judge)
+-- on_unknown function(id, seq), called at each Start of an ID that has no message type; or nil
+function M.new(max_open, can_judge, on_unknown)
   return setmetatable({
     can_judge = can_judge or function() return true end,
+    on_unknown = on_unknown or function() end,
     max_open = max_open or MAX_OPEN,
     open = {}, -- [slot] = the message that is open there, or can.interleaved of several
     open_count = 0,
@@ -83,7 +86,7 @@ end
 
 -- Return whether an End came twice: it equals that of the message that ended in its slot.
 local function is_repeated_end(self, frame)
-  local message = frame.can_id.ctrl == can_id.END and self.ended[frame.slot]
+  local message = frame.can_id.ctrl == END and self.ended[frame.slot]
   if not message or not self:is_near(frame.time, message.time) then return false end
   local length = frame.reported - (message.padding or 0)
   return length > 0 and frame.data:sub(1, length) == message.payload:sub(-length)
@@ -244,8 +247,9 @@ end
 local function start(self, frame)
   local sum, size, reserved = can_id.start(frame.data)
   if not is_plausible(self, frame, size, reserved) then return nil end
-  local slot = frame.slot
-  self.accepted[frame.can_id.id] = true
+  local slot, fields = frame.slot, frame.can_id
+  self.accepted[fields.id] = true
+  if not frame.source.size then self.on_unknown(fields.id, fields.seq) end
   self.buses[frame.bus or 0] = true
   local several = self.open[slot] and supersede(self, frame)
   check_start(self, frame, size, reserved)
@@ -363,7 +367,7 @@ local function continue(self, frame)
     if #data < reported then chunks.is_truncated = true end
     chunks[index] = data
   end
-  if frame.can_id.ctrl == can_id.END then
+  if frame.can_id.ctrl == END then
     close(self, frame.slot)
     finish_last(self, message, frame)
     return "last", message
@@ -412,9 +416,10 @@ for ctrl = #ADDERS + 1, 15 do ADDERS[ctrl] = undefined end
 --          the message of a fragment or single frame, else nil
 --          its list of anomalies, or false
 function Reassembly:add(frame)
-  self.anomalies, self.keeps = false, not frame.is_only_pass
+  local keeps = not frame.is_only_pass
+  self.anomalies, self.keeps = false, keeps
   local kind, message = ADDERS[frame.can_id.ctrl](self, frame)
-  if self.keeps then
+  if keeps then
     self.message = message or false
     -- It is not known yet which message an interleaved fragment belongs to, if any.
     local is_other = kind == "other" or kind == "fragment" and not message.chunks

@@ -132,6 +132,13 @@ local function are_fields_needed(self)
   return may_go_on or is_open or self.is_damaged or self:missed_file()
 end
 
+-- Return which time of a packet to use, and that of the first packet.  If this has no time
+-- stamp, pinfo.rel_ts is of no use: 4.0 counts from 1970, 4.4 and 4.6 say 0.
+local function clock_of(found)
+  if found.start then return "abs_ts", found.start end
+  return "rel_ts", 0
+end
+
 --- Use the file that was seen last: it is about to be dissected.  Files seen before it did not
 -- open, or were only previewed in a file dialog.
 function Buses:init()
@@ -139,6 +146,7 @@ function Buses:init()
   self.found = found
   self.found_stamps_differ = self.seen_stamps_differ
   self.plain_bus = file_readers.log().plain_bus
+  self.time_name, self.start = clock_of(found)
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
   local needs_fields = are_fields_needed(self)
   self.bus_is_per_packet = needs_fields or found.has_several or
@@ -201,11 +209,9 @@ function Buses:stamps_differ()
   return self.found_stamps_differ or file_readers.log().stamps_differ or false
 end
 
---- Return the seconds from the first time stamp of the capture to the current packet.  If the first
--- packet has none, pinfo.rel_ts is of no use: 4.0 counts from 1970, 4.4 and 4.6 say 0.
+--- Return the seconds from the first time stamp of the capture to the current packet.
 function Buses:time(pinfo)
-  local start = self.found.start
-  return start and pinfo.abs_ts - start or pinfo.rel_ts
+  return pinfo[self.time_name] - self.start
 end
 
 --- Return the name of a bus.

@@ -10,7 +10,7 @@ local socketcan = require "yapp.host.socketcan"
 
 local M = {}
 
-local fields_of, START = can_id.fields, can_id.START
+local fields_of = can_id.fields
 local PACKET = frame_key.PACKET
 -- A method that Lua has to look up in a Tvb costs more than its work.
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
@@ -28,18 +28,15 @@ Dissector.__index = Dissector
 -- view         a show.frame
 -- builder      a show.tree
 -- buses        a host.buses
--- register_start  function(id, seq), which makes Wireshark call YAPP for the frames behind a Start
---              of an unknown ID
 -- settings     its accepts_all: the preference yapp.all_extended
-function M.new(reading, view, builder, buses, register_start, settings)
+function M.new(reading, view, builder, buses, settings)
   local self = setmetatable({
     reading = reading,
     view = view,
     builder = builder,
     buses = buses,
-    register_start = register_start,
     settings = settings,
-    frame = records.new_can_frame(),
+    frame = false, wants = false, -- see Dissector:reset
   }, Dissector)
   self.deferral = deferral.new(reading, builder, buses, function(...) self:dissect(...) end)
   return self
@@ -51,35 +48,28 @@ function Dissector:reset()
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
   -- Whether the bus of a frame has to be asked for.
   self.bus_is_per_packet = self.buses.bus_is_per_packet
-  self.has_start = self.buses.found.start -- see Buses:time
+  self.time_name, self.start = self.buses.time_name, self.buses.start -- see Buses:time
   self.frame = records.new_can_frame()
+  self.wants = false -- of Tree:wants, of which the frame has what the reading needs
 end
 
--- Fill the record of the current frame; return it, and its wanted parts.
+-- Set where the current frame was captured.
+local function find_bus(self, frame, tvb, pinfo)
+  local offset = self.offset or offset_of(tvb)
+  local bus, is_bus_known = self.buses.of(frame.number, offset, pinfo)
+  frame.bus, frame.is_bus_known = bus or false, is_bus_known
+end
+
+-- Find out whether the current frame is a revisit, and what is wanted of it.
 -- is_deferred  whether it comes from a tap, where Wireshark calls every packet visited
-local function fill_frame(self, tvb, reported, pinfo, tree, id, accepts_all, is_deferred)
-  local frame, number, offset = self.frame, pinfo.number, self.offset or offset_of(tvb)
-  if self.bus_is_per_packet then
-    local bus, is_bus_known = self.buses.of(number, offset, pinfo)
-    frame.bus, frame.is_bus_known = bus or false, is_bus_known
-  end
-  local fields, key, builder = fields_of[id], number * PACKET + offset, self.builder
-  -- A frame above the newest one is new, which saves asking Wireshark.
-  local visited = key <= self.reading.newest_key and not is_deferred and pinfo.visited
-  local wants = not visited and builder.wanted or builder:wants(tree, pinfo, visited)
-  frame.key = key
-  frame.number = number
-  frame.time = self.has_start and self.buses:time(pinfo) or pinfo.rel_ts
+-- returns      see Tree:wants
+local function ask(self, frame, pinfo, tree, is_deferred)
+  local visited = frame.key <= self.reading.newest_key and not is_deferred and pinfo.visited
+  local wants = self.builder:wants(tree, pinfo, visited)
   frame.visited = visited
-  frame.can_id = fields
-  frame.seq = fields.seq
-  -- raw() of an empty Tvb would throw past Lua: not even pcall catches that.
-  frame.data = length_of(tvb) > 0 and raw_of(tvb) or ""
-  frame.reported = reported
-  frame.accepts_all = accepts_all
-  frame.is_only_pass = wants.is_only_pass
-  frame.wants_state = wants.state
-  return frame, wants
+  frame.is_only_pass, frame.wants_state = wants.is_only_pass, wants.state
+  self.wants = not visited and self.builder.wanted or false
+  return wants
 end
 
 --- Return whether a later packet was dissected before this one, as in the second pass of two.
@@ -97,30 +87,41 @@ local function pass_over(self, frame, tvb, pinfo, tree, id)
   return waits and frame.reported or nil
 end
 
--- Register the ids of the frames behind the Start of an unknown message.
-local function register_unknown(self, frame)
-  if frame.can_id.ctrl == START then self.register_start(frame.can_id.id, frame.seq) end
-end
-
 --- Dissect one frame.
 -- id           29-bit CAN id
 -- accepts_all  whether the user says that every extended frame is YAPP
 -- length       of a deferred frame, whose Tvb does not know it: its bytes on the bus; else nil
 -- returns      the number of bytes that are ours, 0 for a frame that is not
 function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
-  local reported = length or reported_of(tvb)
-  if reported == 0 then return 0 end
-  local frame, wants = fill_frame(self, tvb, reported, pinfo, tree, id, accepts_all, length)
-  local passed = ZEROS[frame.data] and pass_over(self, frame, tvb, pinfo, tree, id)
+  local reported, data = length or reported_of(tvb), ""
+  if length_of(tvb) > 0 then -- else raw() would throw past Lua: not even pcall catches that
+    data = raw_of(tvb)
+  elseif reported == 0 then
+    return 0
+  end
+  local frame, reading, number = self.frame, self.reading, pinfo.number
+  local key = number * PACKET + (self.offset or offset_of(tvb))
+  frame.key = key
+  frame.number = number
+  frame.time = pinfo[self.time_name] - self.start
+  frame.visited = false
+  frame.can_id = fields_of[id]
+  frame.data = data
+  frame.reported = reported
+  frame.accepts_all = accepts_all
+  if self.bus_is_per_packet then find_bus(self, frame, tvb, pinfo) end
+  -- A frame above the newest one is new, and in tshark's first pass all frames want the same.
+  local wants = self.builder.wanted
+  if key <= reading.newest_key or wants ~= self.wants then
+    wants = ask(self, frame, pinfo, tree, length)
+  end
+  local passed = ZEROS[data] and pass_over(self, frame, tvb, pinfo, tree, id)
   if passed then return passed end
-  local visited, reading = frame.visited, self.reading
-  local result = visited and reading:recall_frame(frame)
-  if not visited then result = reading:add_frame(frame) end
+  local result = reading:read_frame(frame)
   if not result then
     self.deferral:note(tvb, pinfo)
     return 0
   end
-  if not frame.source.message then register_unknown(self, frame) end
   if wants.shows or not result.is_usual then self.view:show(result, wants, tvb, pinfo, tree) end
   return reported
 end
@@ -128,10 +129,10 @@ end
 --- Return the dissector for SocketCAN's table of ids, where match_uint is the CAN id.
 -- calls  { begun, ended = numbers }, which it counts
 function Dissector:of_table(calls)
+  local settings, dissect = self.settings, self.dissect
   return function(tvb, pinfo, tree)
     calls.begun = calls.begun + 1
-    local accepts_all = self.settings.accepts_all
-    local length = self:dissect(tvb, pinfo, tree, pinfo.match_uint, accepts_all)
+    local length = dissect(self, tvb, pinfo, tree, pinfo.match_uint, settings.accepts_all)
     calls.ended = calls.ended + 1
     return length
   end

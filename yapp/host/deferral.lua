@@ -22,8 +22,6 @@ local socketcan = require "yapp.host.socketcan"
 
 local M = {}
 
-local number_of = frame_key.number
-
 local Deferral = {}
 Deferral.__index = Deferral
 
@@ -111,6 +109,11 @@ function Deferral:defer(tvb, pinfo, tree, id, accepts_all)
   return true
 end
 
+--- Forget the frame that was noted: Decode As accepts it, which the table of ids refused.
+function Deferral:forget()
+  if not self.deferred then self.number = false end
+end
+
 -- Return the record of a frame that was noted.
 local function new_frame(self, tvb, pinfo, id)
   local frame, number = records.new_can_frame(), pinfo.number
@@ -138,8 +141,7 @@ function Deferral:on_header(pinfo, tvb)
   if deferred then
     local data = tvb(offset, captured):tvb()
     self.dissect(data, pinfo, nil, id, deferred.accepts_all, self.length)
-  elseif captured > 0 and number_of(self.reading.accepted_key) ~= number then
-    -- Decode As may have accepted a frame that was noted when the table of ids refused it.
+  elseif captured > 0 then
     self.reading:report_undissected(new_frame(self, tvb, pinfo, id))
   end
 end

@@ -9,9 +9,13 @@
 local M = {}
 
 local abs, max, min = math.abs, math.max, math.min
+local insert = table.insert
 local MAX_DISTANCE = 0.02 -- seconds
 local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
 local MAX_KEPT = 16 -- messages of a source within this time
+
+local SEQS = {} -- [Seq No] = as a character
+for seq = 0, 255 do SEQS[seq] = string.char(seq) end
 
 local Copies = {}
 Copies.__index = Copies
@@ -23,33 +27,43 @@ function M.new(buses)
     is_timed = not buses:lacks_clock(),
     -- If not, at the time of the first packet it is not known yet whether times advance.
     stamps_differ = buses:stamps_differ(),
-    -- [source] = list of its latest messages that are no copies, and
-    --   start   when the first one came
-    --   others  when other sources' latest messages came, see stands_still; nil until it is asked
-    by_source = {},
+    by_source = {}, -- [source] = its latest messages that are no copies, see new_list
     originals = {}, -- [frame key of a copy] = that of its original, for revisits
   }, Copies)
 end
 
--- The CRC as it was sent is equal if the bytes are, unless it is bad.
-local function bad_crc_of(message)
-  return message.status == "bad" and message.transfer.crc
+-- The latest messages of a source: entries { key, time, text }.  A message takes the entry of the
+-- oldest one if that is too old, so most sources need one entry.
+local function new_list(message)
+  local of_type = message.source.message
+  return {
+    oldest = 1, -- index of the entry to use next
+    by_text = {}, -- [text_of a message] = its entry
+    distance = min(MAX_DISTANCE, (of_type and of_type.every or 1) / 2) - HALF_NANOSECOND,
+    start = message.time, -- when the first one came
+    others = nil, -- when other sources' latest messages came, see stands_still; nil until asked
+  }
 end
 
--- Entries are used again for later messages: most sources need one.
-local function fill(entry, message)
-  entry.key, entry.time, entry.seq = message.key, message.time, message.seq
-  entry.payload, entry.bad_crc = message.payload, bad_crc_of(message)
+-- Return a text that is equal for equal messages.  If the CRC is good, it follows from the bytes.
+local function text_of(message)
+  local text = SEQS[message.seq] .. message.payload
+  return message.status == "bad" and text .. message.transfer.crc or text
 end
 
--- Keep a message that is no copy, in the entry of one that is too old.
-local function keep(list, message, distance)
-  for _, entry in ipairs(list) do
-    if abs(message.time - entry.time) >= distance then return fill(entry, message) end
+-- Keep a message that is no copy.
+local function keep(list, message, text)
+  local index = list.oldest
+  local entry = list[index]
+  if not entry or #list < MAX_KEPT and abs(message.time - entry.time) < list.distance then
+    entry = {}
+    insert(list, index, entry)
+  elseif list.by_text[entry.text] == entry then
+    list.by_text[entry.text] = nil
   end
-  local entry = #list < MAX_KEPT and {} or table.remove(list, 1)
-  fill(entry, message)
-  list[#list + 1] = entry
+  entry.key, entry.time, entry.text = message.key, message.time, text
+  list.by_text[text] = entry
+  list.oldest = index % #list + 1
 end
 
 -- Return when the latest of some messages came.
@@ -71,17 +85,6 @@ local function stands_still(self, list)
   return false
 end
 
--- Return the frame key of an equal message that is near, nil for none.
-local function find_in(self, list, message, distance)
-  local bad_crc = bad_crc_of(message)
-  for _, entry in ipairs(list) do
-    local is_equal = entry.payload == message.payload and entry.seq == message.seq
-    if is_equal and entry.bad_crc == bad_crc and abs(message.time - entry.time) < distance then
-      return not (message.time == list.start and stands_still(self, list)) and entry.key or nil
-    end
-  end
-end
-
 --- Whether time stamps tell what is a copy.
 -- time  of a message or packet, seconds since the first packet
 function Copies:can_judge(time)
@@ -95,21 +98,21 @@ end
 function Copies:find(message, is_only_pass)
   if message.visited then return self.originals[message.key] end
   if not self.is_timed then return nil end
-  local source, time = message.source, message.time
-  local of_type = source.message
-  local distance = of_type and of_type.every or 1
-  distance = min(MAX_DISTANCE, distance / 2) - HALF_NANOSECOND
-  local list = self.by_source[source]
+  local list, time, text = self.by_source[message.source], message.time, text_of(message)
   if not list then
-    list = { start = time, others = nil }
-    self.by_source[source] = list
+    list = new_list(message)
+    self.by_source[message.source] = list
   end
-  local original = self:can_judge(time) and find_in(self, list, message, distance) or nil
+  local equal, original = list.by_text[text], nil
+  if equal and abs(time - equal.time) < list.distance and self:can_judge(time) and
+    not (time == list.start and stands_still(self, list)) then
+    original = equal.key
+  end
   -- A read filter may have dropped a copy whose number this packet has.
   if not is_only_pass and original ~= self.originals[message.key] then
     self.originals[message.key] = original
   end
-  if not original then keep(list, message, distance) end
+  if not original then keep(list, message, text) end
   return original
 end
 

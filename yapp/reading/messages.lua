@@ -25,35 +25,24 @@ function M.new(types, history, copies)
   }, Messages)
 end
 
--- The record of a message.  Nothing adds a field to it, and nothing changes it once it is read.
-local function new_message(frame, transfer)
-  return {
-    transfer = transfer,
-    source = frame.source,
-    seq = frame.seq,
-    key = frame.key,
-    number = frame.number, -- of its packet
-    time = frame.time, -- seconds since the first packet
-    visited = frame.visited,
-    status = transfer.status,
-    size = transfer.size, -- as its header has it
-    payload = transfer.payload, -- the bytes of it that came
-    raws = false, -- the values by index of field (message.decode); false if the size does not fit
-    remarks = false, -- the remarkable values (message.decode), false for none
-    has_fault = false, -- whether a fault flag is set
-    undecoded = false, -- number of payload bytes behind the type's size, false for none
-    like = false, -- of an unknown message: the type that has its size, false for none
-    copy_of = false, -- frame key of the message that it is a copy of, or false
-    is_advised = false, -- whether Info says in full which preference decodes it
-    is_usual = false, -- whether it is good and decoded, and nothing else is to be said of it
-    -- Of message.history:
-    change = false, -- the change, or false
-    delta = false, -- seconds since the source's previous good message, or false
-    state = false, -- the state at the message, or false if it is not known or not wanted
-    -- Whether nothing is known of what came before: nothing tells its bus, or controllers share its
-    -- source.
-    is_unreliable = not (frame.visited or frame.is_bus_known),
-  }
+-- Begin the record of a message: it may have served another one.
+local function begin(message, frame, transfer)
+  message.transfer = transfer
+  message.source = frame.source
+  message.seq = frame.seq
+  message.key = frame.key
+  message.number = frame.number
+  message.time = frame.time
+  message.visited = frame.visited
+  message.status = transfer.status
+  message.size = transfer.size
+  message.payload = transfer.payload
+  message.raws, message.remarks = false, false
+  message.has_fault, message.undecoded = false, false
+  message.like, message.is_advised = false, false
+  message.copy_of = false
+  message.change, message.delta, message.state = false, false, false
+  message.is_unreliable = not (frame.visited or frame.is_bus_known)
 end
 
 -- Decode the values.  The payload has min_size bytes of its type at least.  Only a good message may
@@ -98,12 +87,14 @@ local function is_usual(message)
 end
 
 --- Read the message of a transfer.
--- frame     that ends it, see reading.records
+-- message   its record, see reading.records
+-- frame     that ends it, see there
 -- transfer  { status, size, payload }; status = "good" if it is proved complete; "bad" (CRC);
 --           "truncated" by the capture; "incomplete"; "overrun"
--- returns   see new_message
-function Messages:read(frame, transfer)
-  local message, of_type = new_message(frame, transfer), frame.source.message
+-- returns   the message
+function Messages:read(message, frame, transfer)
+  local of_type = frame.source.message
+  begin(message, frame, transfer)
   if not of_type then
     find_like(self, message)
   elseif not IS_BROKEN[message.status] then

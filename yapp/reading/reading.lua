@@ -6,7 +6,7 @@
 --                             ├─► transfer ─► reading.messages ─► result ─► listener
 --   packet ─► serial.streams ─┘              (values, history)
 --
--- On a revisit, recall_frame and recall_packet return what they found then.
+-- On a revisit, read_frame and recall_packet return what was found then.
 
 local can_id = require "yapp.wire.can_id"
 local copies = require "yapp.reading.copies"
@@ -35,10 +35,12 @@ Reading.__index = Reading
 --- Make the reading.
 -- types  a message.types
 -- buses  a host.buses: what the capture file says
-function M.new(types, buses)
+-- on_unknown  see can.reassembly
+function M.new(types, buses, on_unknown)
   return setmetatable({
     types = types,
     buses = buses,
+    on_unknown = on_unknown,
     listener = false, -- while a statistic runs, see Reading:listen
   }, Reading)
 end
@@ -55,18 +57,20 @@ function Reading:reset(options)
   local finder = copies.new(self.buses)
   self.messages = messages.new(self.types, history.new(options), finder)
   -- CAN:
-  self.reassembly = reassembly.new(nil, function(time) return finder:can_judge(time) end)
+  local function can_judge(time) return finder:can_judge(time) end
+  self.reassembly = reassembly.new(nil, can_judge, self.on_unknown)
   self.sources = memo(function(bus) -- [bus or false][ID] = a source
     return memo(function(id) return self.types:new_source(id, bus, self.buses:name(bus)) end)
   end)
   self.newest_key = 0 -- of the newest frame: one above it is new
-  self.accepted_key = 0 -- of the latest frame that is YAPP's
   self.saw_unknown_bus = false -- whether a frame came whose bus is not known
-  -- The result of the current frame, which is used again as the frame is.
+  -- Of the current frame, used again as that is: the result of a plain fragment, that of others,
+  -- and its message.
+  self.plain = records.new_result("fragment", false)
   self.result = records.new_result("other", false)
+  self.message = records.new_message()
   -- Streams:
-  self.streams = streams.new(function() return self:new_framer() end,
-    function(time) return finder:can_judge(time) end)
+  self.streams = streams.new(function() return self:new_framer() end, can_judge)
   self.lines = lines.new(self.types, self.buses)
   self.found = {} -- [trial_key of a line] = true: conversations that were found by content
 end
@@ -80,56 +84,69 @@ end
 
 -- CAN ---------------------------------------------------------------------------------------------
 
--- Return the message that a frame ends, false for none.
-local function message_of(self, of_frame, kind, transfer)
-  if kind ~= "last" and kind ~= "single" then return false end
-  local message = self.messages:read(of_frame, transfer)
+-- Read the message that a frame ends.
+local function read_message(self, of_frame, kind, transfer)
+  local message = self.messages:read(self.message, of_frame, transfer)
   local is_kept = kind == "single" or of_frame.visited or of_frame.is_only_pass
   if not is_kept then self.reassembly:keep(transfer, message.has_fault) end
   return message
 end
 
--- Return the result of a frame.
+-- Return the result of a frame, and report it.
 -- kind ...  of can.reassembly
 local function new_frame_result(self, of_frame, kind, transfer, anomalies, index)
-  local result, message = self.result, message_of(self, of_frame, kind, transfer)
-  self.accepted_key = of_frame.key
+  local result, message = self.result, false
+  of_frame.seq = of_frame.can_id.seq
+  if kind == "last" or kind == "single" then
+    message = read_message(self, of_frame, kind, transfer)
+  end
   result.kind = kind
   result.frame = of_frame
   result.transfer = transfer or false
   result.message = message
   result.anomalies = anomalies or false
   result.index = index or false
-  local is_plain = not anomalies and #of_frame.data == of_frame.reported
-  result.is_usual = is_plain and (not message or message.is_usual)
-  if message or anomalies then report(self, result) end
-  return result
+  result.is_usual = not anomalies and #of_frame.data == of_frame.reported and
+    (not message or message.is_usual)
+  return report(self, result)
 end
 
---- Add the next frame of the capture.
--- of_frame  see reading.records
--- returns   its result; nil for a frame that is not YAPP's
-function Reading:add_frame(of_frame)
-  local fields, bus, key = of_frame.can_id, of_frame.bus, of_frame.key
-  of_frame.source = self.sources[bus][fields.id]
-  of_frame.slot = fields.message_key + (bus or 0) * BUS
-  if not of_frame.is_bus_known then self.saw_unknown_bus = true end
-  if key > self.newest_key then
-    self.newest_key = key
-  else -- a read filter (-R) dropped the packet before, and this one has its number
-    self.reassembly:forget(key)
-  end
-  local kind, transfer, anomalies = self.reassembly:add(of_frame)
-  return kind and new_frame_result(self, of_frame, kind, transfer, anomalies)
-end
-
---- Return the result of Reading:add_frame.
-function Reading:recall_frame(of_frame)
-  local fields, bus = of_frame.can_id, of_frame.bus
-  of_frame.source = self.sources[bus][fields.id]
-  of_frame.slot = fields.message_key + (bus or 0) * BUS
+-- Return what a frame is that was added before, as can.reassembly says it.
+local function recall(self, of_frame)
   local kind, transfer, anomalies, index = self.reassembly:recall(of_frame)
   if transfer then of_frame.source = transfer.source end
+  return kind, transfer, anomalies, index
+end
+
+--- Read a frame: add the next one of the capture; on a revisit, recall what it was found to be.
+-- of_frame  see reading.records
+-- returns   its result; nil for a frame that is not YAPP's
+function Reading:read_frame(of_frame)
+  local fields, bus, key = of_frame.can_id, of_frame.bus, of_frame.key
+  local kind, transfer, anomalies
+  local index = false
+  local slot = fields.message_key
+  if bus then slot = slot + bus * BUS end
+  of_frame.source, of_frame.slot = self.sources[bus][fields.id], slot
+  if of_frame.visited then
+    kind, transfer, anomalies, index = recall(self, of_frame)
+  else
+    if not of_frame.is_bus_known then self.saw_unknown_bus = true end
+    if key > self.newest_key then
+      self.newest_key = key
+    else -- a read filter (-R) dropped the packet before, and this one has its number
+      self.reassembly:forget(key)
+    end
+    kind, transfer, anomalies = self.reassembly:add(of_frame)
+  end
+  if kind == "fragment" and not anomalies then -- no statistic counts it
+    local plain = self.plain
+    plain.frame = of_frame
+    plain.transfer = transfer
+    plain.index = index
+    plain.is_usual = #of_frame.data == of_frame.reported
+    return plain
+  end
   return kind and new_frame_result(self, of_frame, kind, transfer, anomalies, index)
 end
 
@@ -209,7 +226,7 @@ local function finding_result(self, packet, finding, index)
   local of_frame = records.new_serial_frame(packet, index, source, seq)
   local result = records.new_result("single", of_frame)
   result.transfer, result.anomalies = transfer, anomalies
-  result.message = self.messages:read(of_frame, transfer)
+  result.message = self.messages:read(records.new_message(), of_frame, transfer)
   return result
 end
 

@@ -110,44 +110,50 @@ end
 -- assume the number that classic CAN needs.  The source caches the texts for transfers of one size
 -- and number of fragments.
 local function fragment_text(result)
-  local frame, transfer = result.frame, result.transfer
-  local source, index, size, count = frame.source, result.index or #transfer, transfer.size, 0
+  local frame, transfer, index = result.frame, result.transfer, result.index
+  local source, size, count = frame.source, transfer.size, 0
+  if not index then
+    index = #transfer
+  elseif transfer[index] ~= frame.key then
+    return source.label .. "  duplicate fragment"
+  end
   if transfer.status == "good" then
     count = #transfer
   elseif #frame.data == 8 then
-    count = math.ceil(size / 8) + 1
+    count = (size + -size % 8) / 8 + 1
   end
-  if transfer[index] ~= frame.key then return source.label .. "  duplicate fragment" end
   local texts = source.texts
   if texts.size ~= size or texts.count ~= count then
     texts = { ("%s  Start of %d bytes"):format(source.short, size), size = size, count = count }
     source.texts = texts
   end
-  if not texts[index] then
-    local text = index > count and "%s  fragment %d" or "%s  fragment %d of %d"
-    texts[index] = text:format(source.short, index, count)
-  end
+  local text = texts[index]
+  if text then return text end
+  text = index > count and "%s  fragment %d" or "%s  fragment %d of %d"
+  texts[index] = text:format(source.short, index, count)
   return texts[index]
 end
 
+-- Return the number of the packet in which the message of a fragment ends, on a revisit; nil if it
+-- does not end.
+local function find_end(self, frame, transfer)
+  local last = transfer[#transfer]
+  if transfer.payload then return last % 1 == 0 and number_of(last) or nil end
+  if not transfer.status and last == frame.key then self.builder:expert(self.item, "unfinished") end
+end
+
 local function show_fragment(self, result)
-  local frame, transfer, item, in_number = result.frame, result.transfer, self.item, nil
-  local last, wants = transfer[#transfer], self.wants
-  if frame.visited then
-    if transfer.payload then
-      in_number = last % 1 == 0 and number_of(last)
-    elseif not transfer.status and last == frame.key then
-      self.builder:expert(item, "unfinished")
-    end
-  end
+  local frame, wants, number = result.frame, self.wants, nil
+  if frame.visited then number = find_end(self, frame, result.transfer) end
   if wants.yapp then
     add_fragment(self, result)
-    if in_number then set_generated(add(item, self.fields["reassembled.in"], in_number)) end
-    self.builder:add_has_fault(item, transfer.has_fault)
+    if number then set_generated(add(self.item, self.fields["reassembled.in"], number)) end
+    self.builder:add_has_fault(self.item, result.transfer.has_fault)
   end
   if not wants.columns then return end
   local text = fragment_text(result)
-  return in_number and ("%s  [Reassembled in #%d]"):format(text, in_number) or text
+  if number then text = ("%s  [Reassembled in #%d]"):format(text, number) end
+  return text
 end
 
 -- A frame that belongs to no transfer.
@@ -179,17 +185,15 @@ end
 -- wants   of Tree:wants
 -- tree    nil in a tap, which has none
 function FrameView:show(result, wants, tvb, pinfo, tree)
-  local frame, kind = result.frame, result.kind
+  local frame = result.frame
   self.tvb, self.tree, self.item, self.wants = tvb, tree, tree, wants
   if wants.yapp then
     self.item = add_item(self, frame)
   elseif wants.names then
     self.builder:add_protocol_names(tree, wants, result.message)
   end
-  local info = SHOW[kind](self, result)
-  if result.anomalies or #frame.data < frame.reported then
-    show_anomalies(self, frame, result.anomalies)
-  end
+  local info = SHOW[result.kind](self, result)
+  if not result.is_usual then show_anomalies(self, frame, result.anomalies) end
   if not wants.columns then return end
   local columns = pinfo.cols
   columns.protocol = "YAPP"
