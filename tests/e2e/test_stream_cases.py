@@ -19,9 +19,10 @@ MOTOR_DATA, HEALTH = 0x210, 0x200
 PASSES = pytest.mark.parametrize("passes", [[], ["-2"]], ids=["one pass", "two"])
 
 
-def statistics(path, *arguments):
+def statistics(path, *arguments, code=0):
     """What tshark answers to faults, summary and events: for each source (bus, id) its count, and all events."""
-    done = tshark.run("-q", "-r", path, *arguments, "-z", "yapp,summary,json", "-z", "yapp,events,json")
+    done = tshark.run("-q", "-r", path, *arguments, "-z", "yapp,summary,json", "-z", "yapp,events,json", check=False)
+    assert done.returncode == code, done.stderr
     rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
     counts = {(row["bus"], row["id"]): row["count"] for row in rows if row.get("count") and "kind" not in row}
     return counts, [row for row in rows if "kind" in row]
@@ -246,6 +247,24 @@ def test_small_segments_that_begin_within_a_message(folder, passes, length, star
     counts, events = statistics(path, *passes)
     assert counts == {("192.0.2.1:50000", MOTOR_DATA): 20 if start == 0 else 19}
     assert len(raised(events)) == 1 and not kinds(events) & {"crc", "incomplete", "unfinished"}
+
+
+@PASSES
+@pytest.mark.parametrize("length, begin", [(1, 6), (2, 3), (3, 2)])
+def test_small_segments_out_of_order_before_the_first_header(folder, passes, length, begin):
+    """The first five messages come with pairs of segments the wrong way round: what is not read is said, with the option."""
+    packets = tcp_pieces(b"".join(data for _, data in flight(fault=2)), length)
+    for at in range(begin, 240 // length - 1, 5):
+        first, second = packets[at], packets[at + 1]
+        packets[at:at + 2] = (first[0], second[1]), (second[0], first[1])
+    path = written(folder, packets, stream_captures.tcp)
+    counts, _ = statistics(path, *passes, code=21)
+    assert counts[("192.0.2.1:50000", MOTOR_DATA)] < 20
+    done = tshark.run("-q", "-r", path, *passes, "-z", "yapp,faults", check=False)
+    assert done.returncode == 21
+    option, = re.findall("not decoded: try (-d) (.*)", done.stdout)
+    counts, events = statistics(path, *passes, *option)
+    assert counts == {("192.0.2.1:50000", MOTOR_DATA): 20} and len(raised(events)) == 1
 
 
 def test_segments_before_the_first_header_in_two_passes(folder):

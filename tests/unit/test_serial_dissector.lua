@@ -76,7 +76,7 @@ local function new_reading()
     reading[name] = function(_, one)
       seen.packets[#seen.packets + 1] = one
       seen.ways[#seen.ways + 1] = name
-      return said[name], said.is_in_pieces
+      return said[name], said.is_in_pieces, said.has_failed
     end
   end
   for _, name in ipairs { "try_packet", "add_packet", "recall_packet", "add_skipped" } do taken(name) end
@@ -245,6 +245,15 @@ function T.test_notes_on_what_came_in_pieces()
     "-d udp.port==14550,yapp_serial" })
   streams:reset()
   lu.assertEquals(streams:notes(), {})
+end
+
+function T.test_options_for_what_was_read_late()
+  local streams = new_streams()
+  said.may_be_yapp, said.has_failed = true, true
+  streams:accepts(buffer("YP.."), packet(7))
+  lu.assertEquals(streams:options(), { "-d udp.port==14550,yapp_serial" })
+  streams:reset()
+  lu.assertEquals(streams:options(), {})
 end
 
 function T.test_the_beginning_of_a_file()

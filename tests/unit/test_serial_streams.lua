@@ -332,6 +332,29 @@ function T.test_a_trial_that_a_whole_frame_ends()
   end
 end
 
+-- TCP segments out of order end the trial of what may have been YAPP, whether or not it is found
+-- later.  Bytes that no header began are of others.
+function T.test_a_trial_that_fails()
+  local function has_failed(is_tcp, ...)
+    local self = new()
+    for i, bytes in ipairs { ... } do
+      self:try(packet_of { i, bytes, is_tcp = is_tcp, is_datagram = not is_tcp })
+    end
+    return self:has_failed("")
+  end
+  local head, rest = A:sub(1, 5), A:sub(6)
+  lu.assertTrue(has_failed(true, head, A:sub(9), A:sub(6, 8)))
+  lu.assertTrue(has_failed(true, head, ("text"):rep(5), A))
+  lu.assertTrue(has_failed(true, "Y", "x", "P"))
+  lu.assertFalse(has_failed(false, head, ("text"):rep(5), A))
+  lu.assertFalse(has_failed(true, head, rest))
+  lu.assertFalse(has_failed(true, "textY", "text", "other YP text", A))
+  local self = new()
+  for i = 1, 65 do self:try(packet_of { i, head, stream = "a" .. i, is_tcp = true }) end
+  lu.assertTrue(self:has_failed("a1")) -- no more than 64 are on trial
+  lu.assertFalse(self:has_failed("a65"))
+end
+
 function T.test_a_trial_ends()
   local self = new()
   for i = 1, 1000 do lu.assertNil(self:try(packet_of { i, "textY", stream = "a" .. i })) end

@@ -3,6 +3,7 @@
 -- hands each packet to the reading, and the result to the view.  Wireshark's API.
 
 local frame_key = require "yapp.base.frame_key"
+local joined = require "yapp.base.joined"
 local lines = require "yapp.serial.lines"
 local ports = require "yapp.host.ports"
 local senders = require "yapp.serial.senders"
@@ -32,6 +33,7 @@ function M.new(reading, view, builder, buses, tcp_header)
     tcp_header = tcp_header,
     in_pieces = {}, -- conversations, see Dissector:notes
     conversations = {}, -- those that are known to be in the file, see Dissector:expect
+    read_late = {}, -- those whose first bytes may have been YAPP, and were not read
     inside = false, -- what TLS found in the current packet, see put_inside
     usb = false, -- of serial.usb
   }, Dissector)
@@ -39,7 +41,8 @@ end
 
 --- Forget the capture file.
 function Dissector:reset()
-  self.in_pieces, self.inside, self.usb, self.conversations = {}, false, usb.new(), {}
+  self.in_pieces, self.inside, self.usb = {}, false, usb.new()
+  self.conversations, self.read_late = {}, {}
   tcp.stop()
   ports.give_back()
 end
@@ -133,9 +136,10 @@ function Dissector:accepts(tvb, pinfo, tree)
     return false
   end
   local packet = whole_packet(self, tvb, pinfo, self.builder:wants(tree, pinfo, false))
-  local is_found, is_in_pieces = reading:try_packet(packet)
+  local is_found, is_in_pieces, has_failed = reading:try_packet(packet)
   local is_tcp, port = packet.is_tcp, math.min(pinfo.src_port, pinfo.dst_port)
   if is_in_pieces then table.insert(self.in_pieces, { is_tcp = is_tcp, port = port }) end
+  if has_failed then table.insert(self.read_late, { is_tcp = is_tcp, port = port }) end
   if is_found then ports.take(is_tcp, port) end
   return is_found
 end
@@ -147,10 +151,11 @@ function Dissector:notes()
   return { text:format(table.concat(senders.options(self.in_pieces), " ")) }
 end
 
---- Return the options of tshark that decode the conversations that another protocol took, of those
--- that are expected: a list.
+--- Return the options of tshark that decode the conversations that were not read, or not from
+-- their first bytes on: a list.
 function Dissector:options()
-  return senders.options(self.reading.lines:unread(self.conversations))
+  local unread = self.reading.lines:unread(self.conversations)
+  return senders.options(joined(unread, self.read_late))
 end
 
 --- Whether packets of a serial line came.

@@ -261,7 +261,7 @@ end
 --- Return whether a packet of an unknown conversation is YAPP, alone or with those before it, which
 -- are added then.
 -- packet   see host.serial
--- returns  that, and whether some came before it
+-- returns  that, whether some came before it, and whether bytes before them were given up
 function Reading:try_packet(packet)
   local line = packet.line
   if self.found[line.trial_key] then return false end -- add_packet has left it to others
@@ -274,7 +274,7 @@ function Reading:try_packet(packet)
     one.is_found = true
     self:add_packet(one)
   end
-  return true, earlier[1] ~= nil
+  return true, earlier[1] ~= nil, self.streams:has_failed(packet.stream)
 end
 
 --- Return the result of Reading:add_packet; nil for a packet that was not added.

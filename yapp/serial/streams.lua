@@ -74,6 +74,7 @@ function M.new(new_framer, can_judge)
     trials = {}, -- by key, of unknown conversations, see new_trial
     trial_count = 0,
     trials_by_tag = {}, -- how many, by tag of serial.lines
+    failed = {}, -- by key, of TCP: whether a trial ended without YAPP that a header had begun
     contents_by_key = {}, -- by frame key: the results of Streams:add
     seqs = {},     -- by key, of TCP: the sequence number that follows others' bytes
     gaps = {},     -- those that were not filled, see Streams:drops
@@ -454,11 +455,19 @@ local function count_trial(self, tag, change)
   self.trial_count, by_tag[tag] = self.trial_count + change, count > 0 and count or nil
 end
 
+-- End the trial of a conversation that has not shown YAPP.
+local function fail(self, key)
+  local trial = self.trials[key]
+  if trial.is_tcp and trial.has_header then self.failed[key] = true end
+  self.trials[key] = nil
+  count_trial(self, trial.tag, -1)
+end
+
 -- Begin the trial of a conversation, if a frame may begin in its bytes.
 local function new_trial(self, packet)
   if not has_start(packet.bytes) then return nil end
   if self.trial_count >= MAX_TRIALS then
-    self.trials, self.trials_by_tag, self.trial_count = {}, {}, 0
+    for key in pairs(self.trials) do fail(self, key) end
   end
   local trial = {
     framer = self.new_framer(),
@@ -468,6 +477,8 @@ local function new_trial(self, packet)
     paired_repeats = packet.is_datagram and repeats.new(self.can_judge) or nil,
     packets = {},
     tag = packet.tag,
+    is_tcp = packet.is_tcp,
+    has_header = false, -- whether the begin of one came
   }
   if packet.is_tcp then trial.framer:expect_telnet() end
   if packet.is_datagram then trial.paired_repeats:expect_pairs(packet.stream) end
@@ -510,8 +521,10 @@ end
 
 -- Keep a packet of a trial that may go on.
 local function goes_on(trial, packet)
-  local paired = trial.paired_framer
-  if not (has_begun(trial.framer) or paired and has_begun(paired)) then return false end
+  local framer, paired = trial.framer, trial.paired_framer
+  if not (has_begun(framer) or paired and has_begun(paired)) then return false end
+  -- A "Y" at the end of several bytes may be chance.
+  trial.has_header = trial.has_header or framer.to - framer.from > 1 or #packet.bytes == 1
   table.insert(trial.packets, packet)
   return true
 end
@@ -559,6 +572,12 @@ local function take_trial(self, packet, is_joined)
   return packets
 end
 
+--- Return whether bytes of a TCP conversation, which were not added, may have been YAPP: a trial
+-- of them failed, as it does if segments come out of order.
+function Streams:has_failed(key)
+  return self.failed[key] or false
+end
+
 --- Take a packet of an unknown conversation on trial.
 -- packet     as of Streams:add
 -- is_proved  whether the packet alone shows that it is YAPP
@@ -578,7 +597,7 @@ function Streams:try(packet, is_proved)
   local is_shown = add_to_trial(trial, packet)
   if are_pairs and not is_shown then self.repeats:expect_pairs(packet.stream) end
   if is_shown or are_pairs then return take_trial(self, packet, true) end
-  if not goes_on(trial, packet) then self:end_trial(packet.stream) end
+  if not goes_on(trial, packet) then fail(self, packet.stream) end
   return nil
 end
 
