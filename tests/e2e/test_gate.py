@@ -136,7 +136,7 @@ def break_one_message(plugin):
 
 def lose_module(plugin):
     path = plugin / "yapp.lua"
-    path.write_text(path.read_text().replace('module("yapp.wire.crc"', 'module("yapp.wire.lost"'))
+    path.write_text(path.read_text().replace('module("yapp.message.types"', 'module("yapp.message.lost"'))
 
 
 CASES = {
