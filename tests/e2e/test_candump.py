@@ -372,7 +372,7 @@ FOREIGN = {
     "trc": b";$FILEVERSION=1.1\n;\n" + b"     1)       1.9  Rx         0123  2  11 22 \n" * 100,
     "syslog": b"Nov 14 22:13:20 host kernel: [ 1.000000] can0: bus-off\n" * 100,
     "isotpdump": b" (1700000000.000001)  can0  123  [8]  [SF] ln: 1    data: 11\n" * 100,
-    "nul": LOG + b"\0" * 10,
+    "nul": b"\0\1\0\2" * 10 + LOG,
 }
 
 
