@@ -331,6 +331,16 @@ function Queue:end_packets()
   self.is_direct = true
 end
 
+-- Return the texts of a list, without those that stand there before.
+local function each_once(texts)
+  local list, said = {}, {}
+  for _, text in ipairs(texts) do
+    if not said[text] then list[#list + 1] = text end
+    said[text] = true
+  end
+  return list
+end
+
 --- End: all packets have come.
 -- capture  { unfinished = events of the messages that it ends before, drops = of host.buses,
 --          options = list of tshark's options that may decode what was not found, or nil; certain =
@@ -360,20 +370,13 @@ function Queue:finish(capture)
     undissected = self.undissected,
     hint = self.hint,
   }
-  local code, texts, said = output.EXIT_OK, {}, {}
-  local function say(text)
-    if text and not said[text] then
-      said[text], texts[#texts + 1] = true, text
-    end
-  end
+  local code, texts = output.EXIT_OK, {}
   for _, deriver in ipairs(self.derivers) do
     local worse, text, notes = deriver:finish(ending)
     if worse and (code == output.EXIT_OK or worse < code) then code = worse end
-    say(text)
-    for _, note in ipairs(notes) do say(note) end
+    texts = joined(texts, { text }, notes)
   end
-  for _, note in ipairs(capture.notes or {}) do say(note) end
-  return code, texts
+  return code, each_once(joined(texts, capture.notes))
 end
 
 return M
