@@ -258,10 +258,11 @@ REBOOTED = [turn / 10 for turn in (*range(500, 550), *range(1, 50))]
 
 
 @pytest.mark.parametrize("clocks, kinds, codes", [
-    (ALTERNATING, {"shared", "silence", "reboot"}, {"events": 21, "faults": 21, "summary": 21, "check": 20}),
+    (ALTERNATING, {"shared"}, {"events": 21, "faults": 21, "summary": 21, "check": 20}),
     (REBOOTED, {"reboot"}, {"events": 0, "faults": 0, "summary": 0, "check": 20})], ids=["two controllers", "a reboot"])
 def test_clocks(clocks, kinds, codes, folder):
-    """Times are the controllers' own: two with one ID are found, and a step back of one is no step of the capture's clock."""
+    """Times are the controllers' own: two with one ID are found, which explains each step.  A step back of one is no step of
+    the capture's clock."""
     path = dump(folder, b"".join(frame(0x210, bytes(22) + round(clock * 1e9).to_bytes(8, "little") + bytes(2)) for clock in clocks))
     for passes in ([], ["-2"]):
         said = tshark.run(*passes, "-q", "-r", path, "-z", "yapp,events,json", check=False).stdout

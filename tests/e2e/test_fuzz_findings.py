@@ -59,7 +59,7 @@ def planted(folder, monkeypatch):
 
 LOADED = ("yapp.lua", "local VERSION")
 DISSECTOR = ("yapp/serial/framer.lua", "function Framer:add")
-READER = ("yapp/reading/messages.lua", "function Messages:read(frame, transfer)")
+READER = ("yapp/reading/messages.lua", "function Messages:read(")
 INIT = ("yapp.lua", "function yapp.init")
 # A protocol of its own, in the packets of which Wireshark finds a fault that is not said to be ours.
 OTHER = """local other = Proto("other", "Other") other.fields = { ProtoField.uint8("other.one", "One") }
