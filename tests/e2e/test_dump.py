@@ -268,6 +268,9 @@ def test_clocks(clocks, kinds, codes, folder):
         said = tshark.run(*passes, "-q", "-r", path, "-z", "yapp,events,json", check=False).stdout
         found = [json.loads(line)["kind"] for line in said.splitlines()]
         assert set(found) == kinds and len(found) <= 5 and found.count("shared") <= 1
+        text = tshark.run(*passes, "-q", "-r", path, "-z", "yapp,faults", check=False).stdout
+        # Frame 2 is the first of the other clock.
+        assert ("its reboots, jumps and silences are left out from frame 2 on" in text) == ("shared" in kinds)
         for what, code in codes.items():
             assert tshark.run(*passes, "-q", "-r", path, "-z", f"yapp,{what}", check=False).returncode == code
 

@@ -26,10 +26,11 @@ local new_event, span, NOTHING = kinds.event, kinds.span, kinds.NOTHING
 local MAX_HELD = 64 -- events of a source, more than there are until it shows that it is shared
 local MAX_GAP = 1.5 -- periods; a longer gap has room for another message
 local NO_SPANS = "how long faults, gaps and silences lasted is not known"
-local STANDING = "time stamps of %s stand still: " .. NO_SPANS
+local EQUAL_STAMPS = "time stamps of %s stand still: " .. NO_SPANS
 local LEFT_OUT = "changes of faults, reboots and gaps are unreliable and left out"
 local UNRELIABLE = "nothing tells the buses of %s apart: " .. LEFT_OUT
 local SHARED = "two controllers appear to send %s: from frame %d on " .. LEFT_OUT
+local SHARED_BEFORE = "; its reboots, jumps and silences are left out from frame %d on"
 
 local Deriver = {}
 Deriver.__index = Deriver
@@ -69,7 +70,7 @@ function M.new(settings, statistic, options)
     -- By fault, until the message counts that clears it:
     raised_at = {}, -- when it rose, see above
     raised_in = {}, -- number of the packet
-    standing = {}, -- texts: the sources whose stamps stand still; and by source
+    equal_stamps = {}, -- texts: the sources whose stamps stand still; and by source
     came = {}, -- sources with an event that counts
     copies = 0, -- number of messages that were recorded once more, or several times
     originals = {}, -- [source] = frame key of the latest of them
@@ -116,11 +117,11 @@ end
 local function active_time(self, cause, fault, till)
   -- A step back of less than a millisecond is none, see stat.queue.
   local active = math.max(0, span(self.raised_at[fault] or till, till))
-  local source, standing = cause.source, self.standing
+  local source, notes = cause.source, self.equal_stamps
   if active > 0 or self.raised_in[fault] == cause.frame then return output.seconds(active) end
-  if not standing[source] then
-    standing[source] = true
-    standing[#standing + 1] = STANDING:format(output.bus_and_id(source))
+  if not notes[source] then
+    notes[source] = true
+    notes[#notes + 1] = EQUAL_STAMPS:format(output.bus_and_id(source))
   end
 end
 
@@ -179,6 +180,18 @@ local function end_held(self, state, since)
   state.held = nil
 end
 
+-- Note once for a source why its history is unreliable.
+-- shared  of its change, see message.history
+local function note_unreliable(self, event, shared)
+  local source, notes = event.source, self.unreliable_notes
+  if notes[source] then return end
+  local text = (shared and SHARED or UNRELIABLE):format(output.bus_and_id(source), event.frame)
+  local since = shared and frame_key.number(shared) or event.frame
+  if since < event.frame then text = text .. SHARED_BEFORE:format(since) end
+  notes[source] = true
+  notes[#notes + 1] = text
+end
+
 -- Emit the events of a message that counts, but for its faults.
 local function note_events(self, state, event, change)
   for _, row in ipairs(kinds.LIST) do
@@ -191,12 +204,7 @@ local function note_events(self, state, event, change)
   for _, values in ipairs(event.values.invalid or NOTHING) do
     emit(self, "invalid", event, values)
   end
-  local source, notes = event.source, self.unreliable_notes
-  if event.values.is_unreliable and not notes[source] then
-    local shape = change.shared and SHARED or UNRELIABLE
-    notes[source] = true
-    notes[#notes + 1] = shape:format(output.bus_and_id(source), event.frame)
-  end
+  if event.values.is_unreliable then note_unreliable(self, event, change.shared) end
 end
 
 -- Return how many messages of a source fit between two times.
@@ -360,7 +368,7 @@ local function notes_of(self, ending)
   local no_times = ending.lacks_times and ending.lacks_times .. ": " .. NO_SPANS
   local notes = joined(problems, { reason }, { no_times }, self.undecoded:texts(), unreliable)
   notes[#notes + 1] = copies_text(self.copies)
-  if not no_times then notes = joined(notes, self.standing) end
+  if not no_times then notes = joined(notes, self.equal_stamps) end
   if self.counts then notes[#notes + 1] = hiding(self, ending.now) end
   if not matched then notes[#notes + 1] = ending.hint end
   return notes, ending.problems[1] ~= nil or unreliable[1] ~= nil
