@@ -474,7 +474,8 @@ def test_usb_adapters(folder, adapter, how, linktype):
         assert counts == {(rx, MOTOR_DATA): 20, (tx, 0): 9}
         assert raised(events) == [[rx, None]] and not kinds(events) & {"crc", "incomplete", "skipped", "unfinished"}
     names = "yapp.sources:usb2.7.1/0x210=motor:left"
-    assert raised(statistics(path, "-o", names)[1]) == [[rx, "left"]]
+    for part in "usb2.7.1", "usb2.7":  # its endpoint, the adapter
+        assert raised(statistics(path, "-o", f"yapp.sources:{part}/0x210=motor:left")[1]) == [[rx, "left"]]
     tshark.assert_no_lua_errors(path, "-V")
 
 
@@ -629,7 +630,7 @@ def test_a_client_that_connects_again(folder, passes, how, sources):
 PAGE = (tshark.ROOT / "docs/streams.md").read_text()
 COMMANDS = [line.strip() for line in re.findall(r"(?m)^    (.*)", PAGE) if not line.startswith(("sudo", "tshark -i"))]
 # The page's files, and how many messages of Motor Data each has.
-FILES = {"uart.pcapng": "two_uarts_directions.pcapng", "usb.pcapng": "usbmon_ftdi.pcap", "udp.pcap": "udp_bridge_40.pcap",
+FILES = {"uart.pcapng": "two_uarts_directions.pcapng", "usb.pcapng": "usbmon_cdc.pcap", "udp.pcap": "udp_bridge_40.pcap",
          "tcp.pcap": "tcp_8_byte_segments.pcap", "tls.pcapng": "tls12_4433.pcapng", "async.csv": "saleae_async.csv"}
 
 
@@ -642,7 +643,7 @@ def test_commands_of_the_page(folder):
     (folder / "candump.log").write_text(log)
     for path in folder.iterdir():
         path.chmod(0o666)
-    assert len(COMMANDS) == 14
+    assert len(COMMANDS) == 15
     for command in COMMANDS:
         done = test_readme.shell(folder, command)
         assert done.returncode == 0, (command, done.stderr)
@@ -654,8 +655,10 @@ def test_commands_of_the_page(folder):
         messages = sum(row["count"] for row in rows if row["id"] == MOTOR_DATA)
         wanted = 6 if "async" in command else log.count("08404000#") if "candump" in command else 20
         assert messages == wanted and messages, (command, rows)
-    names = test_readme.shell(folder, COMMANDS[2]).stdout
-    assert "left" in names
+    named = [command for command in COMMANDS if "yapp.sources" in command]
+    assert len(named) == 3
+    for command in named:
+        assert "left" in test_readme.shell(folder, command).stdout, command
 
 
 def test_usb_packets_that_are_cut(folder):

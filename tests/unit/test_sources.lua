@@ -166,7 +166,8 @@ end
 -- A part that nothing can match is an error.
 function T.test_addresses_that_no_sender_has()
   local advice = "write 192.168.1.12:40000 or [fe80::1]:14550"
-  for _, bus in ipairs { "192.168.1.256", "192.168.1.12:70000", "[fe80::1]:65536", "999.1.1.1:1" } do
+  for _, bus in ipairs { "192.168.1.256", "192.168.1.12:70000", "[fe80::1]:65536", "999.1.1.1:1",
+    "[fe80::0001]:1", "fe80::01" } do
     for _, part in ipairs { bus .. "/0x210=motor:x", '"' .. bus .. '"=x' } do
       local s, problems = parse(part)
       local problem = ('yapp.sources: no address "%s" in "%s"; %s'):format(bus, part, advice)
@@ -174,7 +175,7 @@ function T.test_addresses_that_no_sender_has()
     end
   end
   local _, problems = parse("192.168.1.12/1=a, 192.168.1.12:65535/1=b, [fe80::1]/1=c, [fe80::1]:1/1=d, " ..
-    "eth0.12/1=e, a:99999/1=f")
+    "eth0.12/1=e, a:99999/1=f, 00:1b:2c/1=g")
   lu.assertEquals(problems, {})
 end
 
@@ -215,14 +216,17 @@ end
 function T.test_names_that_a_bus_has_with_others()
   local found, problems = sources.parse("192.168.1.12/0x210=motor:right, 192.168.1.13:40000/0x210=left, " ..
     "[fe80::1]/0x210=six, fe80::2/0x210=seven, [fe80::3]:14550/0x210=eight, uart0/0x210=both, " ..
-    "eth0/0x300=by_interface, uart1#rx/0x210=one, 0x210=health:any", CATALOGUE)
+    "eth0/0x300=by_interface, uart1#rx/0x210=one, usb1.6/0x210=adapter, usb1.7.1/0x210=endpoint, " ..
+    "[FE80::A]:1/0x210=large, FE80::B/0x210=letters, 0x210=health:any", CATALOGUE)
   lu.assertEquals(problems, {})
   for _, row in ipairs {
     { "192.168.1.12:40000", "right", "motor" }, { "192.168.1.12", "right", "motor" }, { "192.168.1.13:40000", "left" },
     { "192.168.1.13:40001", "any", "health" }, { "192.168.1.1", "any", "health" }, { "[fe80::1]:14550", "six" },
     { "[fe80::2]:1", "seven" }, { "[fe80::3]:14550", "eight" }, { "[fe80::3]:14551", "any", "health" },
     { "uart0#rx", "both" }, { "uart0#tx", "both" }, { "uart0", "both" }, { "uart1#rx", "one" },
-    { "uart1#tx", "any", "health" },
+    { "uart1#tx", "any", "health" }, { "usb1.6.1#rx", "adapter" }, { "usb1.6.2#tx", "adapter" },
+    { "usb1.7.1#rx", "endpoint" }, { "usb1.7.2#tx", "any", "health" }, { "usb1.60.1#rx", "any", "health" },
+    { "[fe80::a]:1", "large" }, { "[fe80::b]:1", "letters" },
   } do
     local message = found:message(row[1], 0x210, "eth0")
     lu.assertEquals({ found:name(row[1], 0x210, "eth0"), message and message.name }, { row[2], row[3] }, row[1])

@@ -13,7 +13,8 @@
 -- no ID follows.  Its own quotes are doubled: "USB, left"/0x210=motor:a.
 -- The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
 -- A sender in UDP or TCP is a bus, 192.168.1.12:40000 or [fe80::1]:14550.  Without its port the
--- part holds for all ports.  Without its direction, #rx or #tx, a line's name holds for both.
+-- part holds for all ports.  Without its direction, #rx or #tx, a line's name holds for both, and
+-- usb1.6, an adapter without its endpoint, holds for all of usb1.6.1#rx and usb1.6.2#tx.
 
 local input = require "yapp.base.input"
 local memo = require "yapp.base.memo"
@@ -97,14 +98,20 @@ local function take_names(name, ranges)
   return names
 end
 
--- Raise that no sender has such an address: a byte above 255, or a port above 65,535.
+-- Raise that no sender has such an address: a byte above 255, a port above 65,535, an IPv6 address
+-- in another form than Wireshark's.
+-- returns  the bus, an IPv6 address in small letters
 local function check_address(bus)
   local a, b, c, d, port = bus:match("^(%d+)%.(%d+)%.(%d+)%.(%d+):?(%d*)$")
   port = port or bus:match("^%[.*:.*%]:(%d+)$")
   local is_possible = (tonumber(port) or 0) < 65536
   for _, byte in ipairs { a, b, c, d } do is_possible = is_possible and tonumber(byte) < 256 end
+  local ipv6 = bus:match("^%[([%x:]+)%]:?%d*$") or bus:match("^%x*:[%x:]*:%x*$")
+  if ipv6 == bus and not bus:find("::", 1, true) then ipv6 = nil end -- as of an interface: 00:1b:2c
+  is_possible = is_possible and not (ipv6 and ipv6:find("%f[%x]0%x"))
   local advice = "write 192.168.1.12:40000 or [fe80::1]:14550"
   demand(is_possible, ('no address "%s"'):format(bus), advice)
+  return ipv6 and bus:lower() or bus
 end
 
 -- Read a part.
@@ -142,7 +149,7 @@ end
 local function add_part(self, part, catalogue)
   local bus, ranges, message, name = read_part(part, catalogue)
   local names, is_repeated = ranges and take_names(name or "", ranges), false
-  if bus then check_address(bus) end
+  bus = bus and check_address(bus)
   if not ranges then is_repeated = add_row(self, bus, nil, nil, name) end
   for _, range in ipairs(ranges or {}) do
     for id = range[1], range[2] do
@@ -184,7 +191,8 @@ end
 
 -- Return a name that a bus has together with others, nil for none.
 local function wider(bus)
-  return bus:match("^(.+)#[rt]x$") or bus:match("^(%d+%.%d+%.%d+%.%d+):%d+$") or
+  return bus:match("^(.+)#[rt]x$") or bus:match("^(usb%d+%.%d+)%.%d+$") or
+    bus:match("^(%d+%.%d+%.%d+%.%d+):%d+$") or
     bus:match("^(%[.+%]):%d+$") or bus:match("^%[(.+)%]$")
 end
 
