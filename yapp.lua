@@ -111,36 +111,46 @@ local taurus_fields = show_fields.of_taurus(taurus, catalogue.messages)
 
 -- SocketCAN's table of ids calls YAPP for the ids registered in it alone, so other frames cost
 -- nothing.
-local START = can_id.START
+local START, MIDDLE, END = can_id.START, can_id.MIDDLE, can_id.END
 local by_can_id = DissectorTable.get("can.extended_id")
-local is_registered = {} -- [ID] = true; of an unknown ID { [Seq No] = true }
+local is_registered = {} -- [ID] = true; of an unknown ID see register_start
 
--- Register the CAN ids of an ID that carries a message: CAN CTRL 0 to 3 and every Seq No, with YAPP
--- CTL 0.
+-- Register the CAN ids of a CAN CTRL with some Seq Nos, and YAPP CTL 0.
+local function register(id, ctrl, first_seq, last_seq)
+  local first = id * 0x40000 + ctrl * 0x4000
+  by_can_id:add(("%d-%d"):format(first + first_seq, first + last_seq), yapp)
+end
+
+-- Register the CAN ids of an ID that carries a message type.
 local function register_id(id)
   if is_registered[id] == true then return end
   is_registered[id] = true
-  for ctrl = 0, 3 do
-    local first = id * 0x40000 + ctrl * 0x4000
-    by_can_id:add(("%d-%d"):format(first, first + 0xFF), yapp)
-  end
+  for ctrl = 0, 3 do register(id, ctrl, 0, 0xFF) end
 end
 
--- Register those of an unknown ID: all Starts once one came, the other frames as Seq Nos come.  To
--- register all 1,024 of each of 2,000 IDs takes three times as long as 40,000 frames.
+-- Register those of an unknown ID as its Seq Nos come: all 1,024 CAN ids of each of 2,000 IDs take
+-- three times as long as 40,000 frames.  Of the first IDs a Start registers all Starts, so that
+-- none is lost behind messages that the capture lacks.  Of more IDs it registers the next ones: if
+-- the capture lacks more than MIN_AHEAD messages in a row, the rest of the 256 is not decoded, and
+-- counts as missing.
+local MAX_WHOLE, MIN_AHEAD, AHEAD = 64, 16, 32
+local unknown_count = 0
+
 local function register_start(id, seq)
   local known = is_registered[id]
   if known == true or known and known[seq] then return end
-  local first = id * 0x40000
   if not known then
-    known = {}
-    is_registered[id] = known
-    by_can_id:add(("%d-%d"):format(first + START * 0x4000, first + START * 0x4000 + 0xFF), yapp)
+    known = { last = 0 } -- Seq No of the last Start; that of 0 is registered for all IDs
+    is_registered[id], unknown_count = known, unknown_count + 1
   end
   known[seq] = true
-  for ctrl = 0, 3 do
-    if ctrl ~= START then by_can_id:add(first + ctrl * 0x4000 + seq, yapp) end
+  for ctrl = MIDDLE, END do -- it has no single frames
+    by_can_id:add(id * 0x40000 + ctrl * 0x4000 + seq, yapp)
   end
+  local last = known.last
+  if last >= math.min(seq + MIN_AHEAD, 0xFF) then return end
+  known.last = unknown_count <= MAX_WHOLE and 0xFF or math.min(seq + AHEAD, 0xFF)
+  register(id, START, last + 1, known.last)
 end
 
 -- What others need of the preferences, see stat.taps; read_preferences fills it.

@@ -213,24 +213,58 @@ function T.test_can_ids_of_messages()
   protos.yapp.prefs_changed()
 end
 
--- Of an unknown ID all Starts once one came, and of the other frames the Seq Nos that came.
+-- Return the CAN ids that are registered, as { [CAN id] = true }.
+local function registered_ids()
+  local ids = {}
+  for text in pairs(seen.tables["can.extended_id"].added) do
+    local first, last = text:match("^(%d+)-?(%d*)$")
+    for id = tonumber(first), tonumber(last) or tonumber(first) do ids[id] = true end
+  end
+  return ids
+end
+
+local function can_id(id, ctrl, seq) return id * 0x40000 + ctrl * 0x4000 + seq end
+
+-- Of an unknown ID all Starts once one came, and the Middles and Ends of the Seq Nos that came.
 function T.test_can_ids_of_an_unknown_id()
   open(true)
-  local register_start, added = seen.made.reading[3], seen.tables["can.extended_id"].added
+  local register_start = seen.made.reading[3]
   register_start(0x300, 7)
   register_start(0x300, 9)
   register_start(0x300, 7)
   register_start(0x210, 7)
-  local first = 0x300 * 0x40000
-  lu.assertEquals(ranges_of(0x300), { "none", "yapp", "none", "none" })
-  for _, seq in ipairs { 7, 9 } do
-    for ctrl = 0, 3 do
-      lu.assertEquals(added[tostring(first + ctrl * 0x4000 + seq)], ctrl ~= 1 and "yapp" or nil, ctrl)
+  local ids = registered_ids()
+  for seq = 0, 255 do
+    lu.assertNil(ids[can_id(0x300, 0, seq)], seq)
+    lu.assertTrue(ids[can_id(0x300, 1, seq)], seq)
+    for ctrl = 2, 3 do
+      lu.assertEquals(ids[can_id(0x300, ctrl, seq)], (seq == 7 or seq == 9) or nil, seq)
     end
   end
-  lu.assertNil(added[tostring(first + 8)])
   lu.assertEquals(ranges_of(0x210), ALL)
-  lu.assertNil(added[tostring(0x210 * 0x40000 + 7)], "these are registered")
+  lu.assertNil(seen.tables["can.extended_id"].added[tostring(0x210 * 0x40000 + 7)], "these are registered")
+end
+
+-- Of the 65th and later ones the next Starts alone.
+function T.test_can_ids_of_many_unknown_ids()
+  open(true)
+  local register_start = seen.made.reading[3]
+  local function last_start(id)
+    local ids, last = registered_ids(), 0
+    while ids[can_id(id, 1, last + 1)] do last = last + 1 end
+    for seq = last + 2, 255 do lu.assertNil(ids[can_id(id, 1, seq)], seq) end
+    return last
+  end
+  for id = 0x300, 0x33F do register_start(id, 0) end
+  lu.assertEquals({ last_start(0x300), last_start(0x33F) }, { 255, 255 })
+  for _, seq in ipairs { 0, 1, 2, 15, 16, 17, 30, 100, 222, 223, 224, 254, 255 } do
+    register_start(0x340, seq)
+    lu.assertTrue(last_start(0x340) >= math.min(seq + 16, 255), seq)
+    lu.assertTrue(last_start(0x340) <= seq + 32, seq)
+  end
+  register_start(0x341, 0)
+  register_start(0x341, 240)
+  lu.assertEquals(last_start(0x341), 255)
 end
 
 function T.test_a_second_copy()

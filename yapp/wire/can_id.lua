@@ -12,8 +12,8 @@ local char, floor = string.char, math.floor
 --- The slots of bus n begin at n * M.BUS, see M.slot.
 M.BUS = 0x20000000
 
--- CAN CTRL: 0 is a single frame, 2 a Middle.
-M.START, M.END = 1, 3
+-- CAN CTRL; 0 is a single frame.
+M.START, M.MIDDLE, M.END = 1, 2, 3
 M.CTRL_NAMES = { [0] = "Single", "Start", "Middle", "End" }
 
 -- The lengths of CAN FD frames above 8 bytes: SHORTER[12] = 8 is the next shorter one.
