@@ -576,6 +576,23 @@ def test_a_first_message_that_another_protocol_takes_is_no_all_clear(folder, pas
     assert done.returncode == 0, done.stdout
 
 
+@levels.by_version
+@PASSES
+@pytest.mark.parametrize("length", [7, 20])
+def test_pieces_on_a_port_of_another_protocol_are_no_all_clear(folder, passes, length):
+    """Modbus has port 502, and may have taken the pieces before those that show YAPP."""
+    data, packets = b"".join(data for _, data in flight(fault=None)), []
+    for number, at in enumerate(range(0, len(data), length)):
+        packet = Packet(data[at:at + length], Origin(ETHERNET, 0, 0))
+        packet.ports, packet.kind, packet.sequence = (502, 50000), "tcp", 1 + at
+        packets.append((2 * number / (len(data) / length), packet))
+    path = written(folder, packets, ported)
+    done = tshark.run("-q", "-r", path, *passes, "-z", "yapp,faults", check=False)
+    assert done.returncode == 21 and "try -d tcp.port==502,yapp_serial" in done.stdout
+    counts, _ = statistics(path, "-d", "tcp.port==502,yapp_serial", *passes)
+    assert counts == {("192.0.2.1:502", MOTOR_DATA): 20}
+
+
 @PASSES
 @pytest.mark.parametrize("kind, ports", [("udp", (502, 44818)), ("tcp", (8080, 3306)), ("tcp", (3306, 50000))])
 def test_conversations_of_other_protocols_ports_behind_64_kb(folder, passes, kind, ports):

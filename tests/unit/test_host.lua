@@ -160,6 +160,11 @@ function T.test_ports()
     { true, true, false })
   lu.assertEquals({ is_of_others(3, 44818, 50000), is_of_others(2, 80, 50000), is_of_others(2, 80, 79) }, { false,
     false, true })
+  local function has_other(kind, from, to)
+    return ports.has_other { port_type = kind, src_port = from, dst_port = to }
+  end
+  lu.assertEquals({ has_other(3, 44818, 50000), has_other(3, 50000, 44818), has_other(2, 44818, 50000),
+    has_other(2, 14550, 50000), has_other(2, 50000, 80) }, { true, true, false, false, true })
   tables["udp.port"][44818] = nil
   tables["udp.port"][9] = other -- the user's Decode As
   ports.give_back()

@@ -114,6 +114,7 @@ function T.setUp()
   package.loaded["yapp.host.ports"] = {
     take = function(...) seen.taken[#seen.taken + 1] = { ... } end,
     give_back = function() seen.given_back = seen.given_back + 1 end,
+    has_other = function(pinfo) return said.has_other and pinfo.src_port == 40000 end,
   }
   _G.ByteArray = { new = function(bytes, is_binary)
     return { tvb = function(_, name) return { bytes, is_binary, name } end }
@@ -254,6 +255,12 @@ function T.test_options_for_what_was_read_late()
   lu.assertEquals(streams:options(), { "-d udp.port==14550,yapp_serial" })
   streams:reset()
   lu.assertEquals(streams:options(), {})
+  said.has_failed, said.is_in_pieces = nil, true
+  streams:accepts(buffer("YP.."), packet(8))
+  lu.assertEquals(streams:options(), {})
+  said.has_other = true -- another protocol, which may have taken a piece
+  streams:accepts(buffer("YP.."), packet(9))
+  lu.assertEquals(streams:options(), { "-d udp.port==14550,yapp_serial" })
 end
 
 function T.test_the_beginning_of_a_file()

@@ -31,11 +31,24 @@ function M.take(is_tcp, port)
   taken[#taken + 1] = { ports, port }
 end
 
+local function table_of(pinfo)
+  return pinfo.port_type == TCP and TABLES[true] or TABLES[false]
+end
+
 --- Return whether another protocol has the client's port of a packet.
 function M.is_of_others(pinfo)
   local client = math.max(pinfo.src_port, pinfo.dst_port)
-  local ports = pinfo.port_type == TCP and TABLES[true] or TABLES[false]
-  return ports:get_dissector(client) ~= nil
+  return table_of(pinfo):get_dissector(client) ~= nil
+end
+
+--- Return whether another protocol has a port of a packet.
+function M.has_other(pinfo)
+  local ports = table_of(pinfo)
+  for _, port in ipairs { pinfo.src_port, pinfo.dst_port } do
+    local dissector = ports:get_dissector(port)
+    if dissector and tostring(dissector) ~= own.name then return true end
+  end
+  return false
 end
 
 --- Give back all ports, but those that the user has given to another protocol since.

@@ -122,6 +122,19 @@ local function may_go_on(streams, pinfo)
   return streams:may_go_on(lines.tag(pinfo.port_type, pinfo.src_port, pinfo.dst_port))
 end
 
+-- Try a packet of an unknown conversation; return whether it is YAPP.
+local function try(self, packet, pinfo)
+  local is_found, is_in_pieces, has_failed = self.reading:try_packet(packet)
+  local port = math.min(pinfo.src_port, pinfo.dst_port)
+  local one = { is_tcp = packet.is_tcp, port = port }
+  if is_in_pieces then table.insert(self.in_pieces, one) end
+  -- Another protocol that has a port may have taken the first pieces.
+  local is_late = has_failed or is_in_pieces and ports.has_other(pinfo)
+  if is_late then table.insert(self.read_late, one) end
+  if is_found then ports.take(packet.is_tcp, port) end
+  return is_found
+end
+
 --- Return whether a packet of an unknown conversation is YAPP.
 function Dissector:accepts(tvb, pinfo, tree)
   if tvb:len() == 0 then return false end
@@ -135,13 +148,7 @@ function Dissector:accepts(tvb, pinfo, tree)
   if not (may_begin and reading:may_be_yapp(bytes) or may_go_on(streams, pinfo)) then
     return false
   end
-  local packet = whole_packet(self, tvb, pinfo, self.builder:wants(tree, pinfo, false))
-  local is_found, is_in_pieces, has_failed = reading:try_packet(packet)
-  local is_tcp, port = packet.is_tcp, math.min(pinfo.src_port, pinfo.dst_port)
-  if is_in_pieces then table.insert(self.in_pieces, { is_tcp = is_tcp, port = port }) end
-  if has_failed then table.insert(self.read_late, { is_tcp = is_tcp, port = port }) end
-  if is_found then ports.take(is_tcp, port) end
-  return is_found
+  return try(self, whole_packet(self, tvb, pinfo, self.builder:wants(tree, pinfo, false)), pinfo)
 end
 
 --- Return notes on conversations whose packets hold no whole header: a list of texts.
