@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What people record of YAPP in streams: captures that showed a defect of 2.2, and relatives of each."""
+import csv
+import decimal
 import json
 import re
 import shutil
@@ -488,6 +490,32 @@ def test_foreign_usb_is_left_alone(folder):
     path = written(folder, packets, lambda packet: usbmon(3, 0x81, packet.data, 7))
     assert statistics(path) == ({}, [])
     assert tshark.fields(path, ["frame.number"], "-Y", "yapp", "-o", "yapp.search_all:TRUE", "-2") == []
+
+
+# Bridges of real tools ---------------------------------------------------------------------------------------------
+
+BRIDGES = {"127.0.0.1:4001": "ser2net, raw", "127.0.0.1:4003": "ser2net, UDP", "127.0.0.1:4004": "ser2net, telnet",
+           "127.0.0.1:4010": "ser2net, RFC 2217", "127.0.0.1:4006": "socat, TCP", "127.0.0.1:41110": "socat, UDP"}
+
+
+@levels.by_version
+@PASSES
+def test_bridges_of_ser2net_and_socat(passes):
+    """Each carried 16 Motor Data, 100 ms apart by the controller's clock, 4 Health, and one fault, beside the text of a
+    shell, in writes of 1 to 23 bytes.  They were sent four times as fast as a controller does."""
+    path = CASES / "ser2net_socat.pcap"
+    counts, events = statistics(path, *passes)
+    assert counts == {(bus, ident): count for bus in BRIDGES for ident, count in ((MOTOR_DATA, 16), (HEALTH, 4))}
+    for event in "raised", "cleared":
+        assert sorted(one["bus"] for one in events if one.get("event") == event) == sorted(BRIDGES)
+    assert not kinds(events) & {"crc", "incomplete", "unfinished", "missing", "shared", "reboot", "stale"}
+    done = tshark.run("-q", "-r", path, *passes, "-z", "yapp,csv,-,motor")
+    clocks = {}
+    for row in csv.DictReader(done.stdout.splitlines()):
+        clocks.setdefault(row["bus"], []).append(decimal.Decimal(row["timestamp"]))
+    assert set(clocks) == set(BRIDGES)
+    for times in clocks.values():
+        assert {after - before for before, after in zip(times, times[1:])} == {decimal.Decimal("0.1")}
 
 
 # What is not found by content -------------------------------------------------------------------------------------
