@@ -29,7 +29,7 @@ end
 local function add_frame(self, frame)
   table.insert(self.frames, frame)
   table.insert(self.keys, frame.key)
-  self.bytes, self.since = self.bytes + frame.length, self.since + frame.length
+  frame.from, self.bytes = self.bytes, self.bytes + frame.length
 end
 
 local function new_frame(key, data, length, is_end)
@@ -37,6 +37,7 @@ local function new_frame(key, data, length, is_end)
     key = key,
     data = data,
     length = length, -- on the bus
+    from = 0, -- number of bytes of the frames before it
     is_end = is_end,
     is_taken = false, -- by a good message
     orphan = nil, -- its anomaly
@@ -66,7 +67,6 @@ function M.new(reassembly, message, fields)
     frames = {}, -- see new_frame: those that no good message has taken
     keys = {}, -- of the frames
     bytes = 0, -- of the frames
-    since = 0, -- bytes of those that came since the newest Start
     time = 0, -- of the newest frame
     starts = 0, -- number of Starts that superseded others
     credit = MAX_CREDIT,
@@ -82,7 +82,6 @@ end
 --- Open the message of a Start.
 function Pool:open_message(message)
   open_message(self, message, false)
-  self.since = 0
 end
 
 --- Return the open messages, oldest Start first.
@@ -97,16 +96,20 @@ local function first_behind(self, message)
   return frame_key.last_until(self.keys, message[1]) + 1
 end
 
+--- Return the number of bytes that came since the Start of a message.
+function Pool:received(message)
+  local frame = self.frames[first_behind(self, message)]
+  return frame and self.bytes - frame.from or 0
+end
+
 -- Drop the frames that a good message has taken, and those in front of all open messages.
 local function drop_frames(self)
-  local frames, oldest, newest = self.frames, self.open[1], self.open[#self.open]
+  local frames, oldest = self.frames, self.open[1]
   local first = oldest and first_behind(self, oldest.message) or #frames + 1
-  local first_of_newest = oldest and first_behind(self, newest.message)
-  self.frames, self.keys, self.bytes, self.since = {}, {}, 0, 0
+  self.frames, self.keys, self.bytes = {}, {}, 0
   for i, frame in ipairs(frames) do
     if i >= first and not frame.is_taken then
       add_frame(self, frame)
-      if i < first_of_newest then self.since = 0 end
     elseif frame.orphan then
       frame.orphan.is_open = false
     end
@@ -148,10 +151,12 @@ function Pool:supersede(anomaly, time)
   return self.open[1] ~= nil
 end
 
--- Search depth first over the frames from `first` on; the newest frame has to be the last taken.
+-- Search depth first over the frames from `first` on; the newest frame has to be the last taken.  If
+-- no Start superseded another, leave out only frames that equal the one before.
 -- goal     { crc = as sent, frames = those that are taken so far, padding = found }
+-- needed   bytes that the message still lacks; spare = those of the frames beyond these
 -- returns  whether these are a complete message
-local function search(self, goal, first, register, needed)
+local function search(self, goal, first, register, needed, spare)
   local last, count = #self.frames, #goal.frames
   for i = first, last do
     local frame = self.frames[i]
@@ -166,10 +171,14 @@ local function search(self, goal, first, register, needed)
       return goal.padding and crc.update(register, data, 1, needed) == goal.crc
     end
     if is_complete and length < needed and not frame.is_end and
-      search(self, goal, i + 1, crc.update(register, data), needed - length) then
+      search(self, goal, i + 1, crc.update(register, data), needed - length, spare) then
       return true
     end
     for k = #goal.frames, count + 1, -1 do goal.frames[k] = nil end
+    local before = self.frames[i - 1]
+    if self.starts == 0 and not (before and before.data == data) then return false end
+    spare = spare - length
+    if spare < 0 then return false end
   end
 end
 
@@ -177,7 +186,8 @@ end
 -- not.
 local function padding_since_start(self, message)
   local last = self.frames[#self.frames]
-  return can_id.padding(last.data, last.length, message.size - self.since + last.length)
+  local needed = message.size - self:received(message) + last.length
+  return can_id.padding(last.data, last.length, needed)
 end
 
 local function frames_behind(self, message)
@@ -231,6 +241,18 @@ local function forgive_copies(self, message)
   end
 end
 
+-- Note the frames that a message was good without.
+local function note_duplicates(self)
+  local original
+  for _, frame in ipairs(self.frames) do
+    if frame.is_taken then
+      original = frame
+    else
+      self.reassembly:note_duplicate(frame.key, original.key)
+    end
+  end
+end
+
 -- End an open message with these frames: with a status if it is known, else the CRC decides.
 -- index    of its candidate
 -- returns  the message
@@ -245,6 +267,7 @@ local function finish_candidate(self, index, frames, padding, status)
     for _, frame in ipairs(frames) do frame.is_taken = true end
     if candidate.anomaly then withdraw(candidate.anomaly) end
     forgive_copies(self, message)
+    if self.starts == 0 then note_duplicates(self) end
   end
   drop_frames(self)
   return message
@@ -267,9 +290,10 @@ local function complete(self)
     -- frames.
     self.reserve = self.credit * (1 - 1 / (#open - i + 1))
     local goal = { crc = message.crc, frames = {}, padding = false }
+    local first, size = first_behind(self, message), message.size
     -- What does not complete a message completes no copy of it either.
     if not (before and have_same_start(before.message, message)) and
-      search(self, goal, first_behind(self, message), seed_of(message), message.size) then
+      search(self, goal, first, seed_of(message), size, self:received(message) - size) then
       return finish_candidate(self, i, goal.frames, goal.padding)
     end
   end
@@ -286,7 +310,7 @@ local function end_newest(self)
     open_message(self, copy, true)
   end
   local padding = padding_since_start(self, message)
-  if not padding then status = self.reassembly:misfit(message, self.since) end
+  if not padding then status = self.reassembly:misfit(message, self:received(message)) end
   finish_candidate(self, index, frames_behind(self, message), padding, status)
 end
 

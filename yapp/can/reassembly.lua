@@ -31,7 +31,6 @@ local concat = table.concat
 local END = can_id.END
 
 local MAX_OPEN = 1024 -- an open message costs memory until something ends it
-local MAX_TRIES = 64 -- to leave out fragments that came twice
 local MAX_DISTANCE = 0.02 -- seconds between a frame and its copy, as of reading.copies
 
 local MISFIT = { -- by status
@@ -141,6 +140,12 @@ function Reassembly:give_up(message)
   self.store:keep(copy)
 end
 
+--- Note that a fragment came twice.
+-- key, original  frame keys: of the second one, and of the first
+function Reassembly:note_duplicate(key, original)
+  if self.keeps then self.store:keep_duplicate(key, original) end
+end
+
 -- Slots ------------------------------------------------------------------------------------------
 
 local function close(self, slot)
@@ -177,6 +182,16 @@ local function make_room(self)
     "%d messages are open: the oldest %d are given up", #list, count)
 end
 
+-- Make a pool of the open message in the slot of a frame.
+local function pool_of(self, message, frame)
+  for i = 2, self.keeps and #message or 0 do
+    self.store:keep_anomalies(message[i], {})
+  end
+  local pool = interleaved.new(self, message, frame.can_id)
+  self.open[frame.slot] = pool
+  return pool
+end
+
 -- Return whether a Start came twice: it equals that of a message without further fragments.
 local function is_repeated_start(self, message, frame)
   local sum, size = can_id.start(frame.data)
@@ -194,7 +209,7 @@ local function supersede(self, frame)
   if not newest.status then
     anomaly = self:note("fragment.incomplete", newest,
       "A new Start supersedes the message that started in frame %d: %d of %d bytes came",
-      frame_key.number(newest[1]), chunks and chunks.received or open.since, newest.size)
+      frame_key.number(newest[1]), chunks and chunks.received or open:received(newest), newest.size)
     anomaly.is_copy = is_repeated_start(self, newest, frame) or nil
   end
   if open == newest then
@@ -202,11 +217,7 @@ local function supersede(self, frame)
       self:give_up(open)
       return close(self, frame.slot)
     end
-    for i = 2, self.keeps and #open or 0 do
-      self.store:keep_anomalies(open[i], {})
-    end
-    open = interleaved.new(self, open, frame.can_id)
-    self.open[frame.slot] = open
+    open = pool_of(self, open, frame)
   end
   if open:supersede(anomaly, frame.time) then return open end
   close(self, frame.slot)
@@ -277,70 +288,7 @@ end
 
 -- Middles and Ends -------------------------------------------------------------------------------
 
--- Try to end a message whose last frame came, without some of its fragments.  Of each run of equal
--- fragments the first ones stay.
--- goal      { message, chunks, frame = the last one, tries = how many are left,
---             out = { [index] = whether to leave out this chunk } }
--- first     fragment from which on to leave out
--- needed    the bytes that the last frame should have
--- returns   whether the CRC is good
-local function try_without(self, goal, first, needed)
-  local message, chunks, frame = goal.message, goal.chunks, goal.frame
-  if first >= #chunks then -- the last chunk is that of the last frame
-    goal.tries = goal.tries - 1
-    local padding = can_id.padding(frame.data, frame.reported, needed)
-    if not padding then return false end
-    local kept = {}
-    for i, chunk in ipairs(chunks) do
-      if not goal.out[i] then kept[#kept + 1] = chunk end
-    end
-    self:finish(message, frame.can_id, concat(kept), padding)
-    return message.status == "good"
-  end
-  local last = first
-  while last + 1 < #chunks and chunks[last + 1] == chunks[first] do last = last + 1 end
-  local size = math.max(#chunks[first], 1)
-  for count = math.min(last - first, math.floor((frame.reported - needed) / size)), 0, -1 do
-    for i = first + 1, last do goal.out[i] = i <= first + count end
-    if try_without(self, goal, last + 1, needed + count * size) then return true end
-    if goal.tries == 0 then return false end
-  end
-end
-
--- A frame comes twice if its sender missed the acknowledgement, or if a recorder holds it twice.
--- So a message that is too long may have such frames.  If its CRC is good without them, leave them
--- out.
--- needed   the bytes that the last frame should have if nothing is left out
--- returns  whether the CRC was good without some: then the message has ended
-local function leave_out(self, message, frame, needed)
-  local goal = { message = message, chunks = message.chunks, frame = frame, tries = MAX_TRIES,
-    out = {} }
-  if not try_without(self, goal, 1, needed) then return false end
-  for index = #message - 1, 2, -1 do -- the first fragment is behind the Start
-    if goal.out[index - 1] then
-      local key, original = table.remove(message, index), index - 1
-      while goal.out[original - 1] do original = original - 1 end
-      if self.keeps then self.store:keep_duplicate(key, message[original]) end
-    end
-  end
-  return true
-end
-
--- End a message with its last frame.
-local function finish_last(self, message, frame)
-  local chunks, status = message.chunks, nil
-  local needed = frame.reported + message.size - chunks.received
-  local padding = can_id.padding(frame.data, frame.reported, needed)
-  if chunks.is_truncated then status = "truncated" end
-  if not padding then
-    if chunks.repeated and not status and leave_out(self, message, frame, needed) then return end
-    message.calculated, message.padding = nil, nil
-    status = self:misfit(message, chunks.received)
-  end
-  self:finish(message, frame.can_id, concat(chunks), padding, status)
-end
-
--- Add a Middle or End whose slot has no message, or several that interleave.
+-- Add a Middle or End whose slot has no message, or a pool.
 local function continue_other(self, frame, pool)
   local fields = frame.can_id
   if pool then
@@ -351,6 +299,26 @@ local function continue_other(self, frame, pool)
   if not frame.accepts_all and (fields.ctl ~= 0 or not frame.source.size) then return nil end
   self:orphan(frame)
   return "other"
+end
+
+-- End a message with its last frame.  A frame comes twice if its sender missed the acknowledgement,
+-- or if a recorder holds it twice.  So a message that does not fit, and has such frames, is pooled:
+-- if its CRC is good without some of them, the pool leaves these out.
+local function finish_last(self, message, frame)
+  local chunks, status = message.chunks, nil
+  local needed = frame.reported + message.size - chunks.received
+  local padding = can_id.padding(frame.data, frame.reported, needed)
+  if chunks.is_truncated then status = "truncated" end
+  if not padding then
+    if chunks.repeated and not status then
+      message[#message], chunks[#chunks] = nil, nil -- the pool adds the frame
+      return continue_other(self, frame, pool_of(self, message, frame))
+    end
+    status = self:misfit(message, chunks.received)
+  end
+  close(self, frame.slot)
+  self:finish(message, frame.can_id, concat(chunks), padding, status)
+  return "last", message
 end
 
 local function continue(self, frame)
@@ -368,9 +336,7 @@ local function continue(self, frame)
     chunks[index] = data
   end
   if frame.can_id.ctrl == END then
-    close(self, frame.slot)
-    finish_last(self, message, frame)
-    return "last", message
+    return finish_last(self, message, frame)
   end
   local excess = received - message.size
   if excess > 0 and excess > (chunks.repeated or 0) then
