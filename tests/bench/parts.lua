@@ -42,7 +42,7 @@ end
 
 -- How many good messages a capture has, by the steps up to one.
 local function run(path, step)
-  local known, types = reassembly.new(), types_of.new(catalogue)
+  local known, types = reassembly.new(function() return true end, function() end), types_of.new(catalogue)
   local messages = messages_of.new(types, step == "values" and NO_HISTORY or new_history(), NO_COPIES)
   local frame, count, sources = records.new_can_frame(), 0, {}
   types:use(catalogue.by_id, (source_names.parse("", catalogue)), {}, function() end)

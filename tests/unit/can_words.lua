@@ -31,8 +31,10 @@ local KIND = { L = 0, S = 1, M = 2, E = 3, X = 9 }
 function M.new(options)
   options = options or {}
   local sources = {}
+  local made = reassembly.new(options.can_judge or function() return true end, function() end)
+  made.max_open = options.max_open or made.max_open
   return {
-    reassembly = reassembly.new(options.max_open, options.can_judge),
+    reassembly = made,
     source_of = function(id, bus)
       local key = id + (bus or -1) * 0x800
       sources[key] = sources[key] or

@@ -623,7 +623,7 @@ end
 -- The Starts of IDs without a message type are told, so that Wireshark calls YAPP for the frames behind them.
 function T.test_starts_of_unknown_ids()
   local told = {}
-  local known = require("yapp.can.reassembly").new(nil, nil, function(id, seq) told[#told + 1] = { id, seq } end)
+  local known = require("yapp.can.reassembly").new(nil, function(id, seq) told[#told + 1] = { id, seq } end)
   local function add(id, ctrl, seq, size)
     local fields = require("yapp.wire.can_id").fields[id * 0x40000 + ctrl * 0x4000 + seq]
     known:add { key = #told + 1, can_id = fields, time = 0, slot = fields.message_key, bus = false,

@@ -31,7 +31,8 @@ local function new_capture(with)
   }
   types:use(catalogue_of.assign(TAURUS, {}), (sources.parse("", TAURUS)), {}, function() end)
   types:reset(with and with.several or false)
-  local reading, intake, events = reading_of.new(types, buses), intake_of.new(TAURUS), {}
+  local reading, intake = reading_of.new(types, buses, function() end), intake_of.new(TAURUS)
+  local events = {}
   reading:reset { late = 3, catalogue = TAURUS, buses = buses }
   intake:open {
     offer = function(_, event)

@@ -1,11 +1,12 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Messages of one key that interleave, where a capture does not tell its buses apart.  Pure Lua.
+-- The frames of a slot that do not make up its message in the usual way.  Pure Lua.
 --
--- A Start that comes while a message with the same key is open may supersede it, or come from
--- another bus.  From then on the frames of that key are pooled.  An End looks for the frames that,
--- with it, make up one of the open messages: its size and its CRC decide.  Each frame adds credit,
--- which limits the steps of the search.  If the pool has more bytes than its open messages can use,
--- all of them are given up.
+-- They are pooled
+--   when a Start comes while a message is open: it may supersede that, or come from another bus;
+--   when a message is too long, but has frames that came twice.
+-- An End looks for the frames that, with it, make up one of the open messages: its size and its CRC
+-- decide.  Each frame adds credit, which limits the steps of the search.  If the pool has more
+-- bytes than its open messages can use, all of them are given up.
 
 local can_id = require "yapp.wire.can_id"
 local crc = require "yapp.wire.crc"
@@ -44,14 +45,15 @@ local function new_frame(key, data, length, is_end)
   }
 end
 
--- Open a message.
-local function open_message(self, message, is_retry)
+--- Open the message of a Start.
+-- is_retry  whether its last fragment was shown as that of a broken message
+function Pool:open_message(message, is_retry)
   message.chunks = nil
   table.insert(self.open, {
     message = message,
     start = self.starts, -- of the pool when it was opened
     anomaly = nil, -- what said that it is superseded: withdrawn if it turns out good
-    is_retry = is_retry, -- whether its last fragment was shown as that of a broken message
+    is_retry = is_retry,
     is_copy = false, -- whether a good message has the same Start
   })
 end
@@ -75,13 +77,8 @@ function M.new(reassembly, message, fields)
   for i, data in ipairs(message.chunks) do
     add_frame(self, new_frame(message[i + 1], data, #data, false))
   end
-  open_message(self, message, false)
+  self:open_message(message)
   return self
-end
-
---- Open the message of a Start.
-function Pool:open_message(message)
-  open_message(self, message, false)
 end
 
 --- Return the open messages, oldest Start first.
@@ -151,66 +148,46 @@ function Pool:supersede(anomaly, time)
   return self.open[1] ~= nil
 end
 
--- Search depth first over the frames from `first` on; the newest frame has to be the last taken.  If
--- no Start superseded another, leave out only frames that equal the one before.
--- goal     { crc = as sent, frames = those that are taken so far, padding = found }
--- needed   bytes that the message still lacks; spare = those of the frames beyond these
--- returns  whether these are a complete message
-local function search(self, goal, first, register, needed, spare)
+-- Return whether the newest frame ends the message that the frames of a goal begin.  The CRC
+-- decides; where bytes are truncated, it needs all frames.
+-- needed  bytes that the frame should have
+local function is_end_of(goal, frame, register, needed)
+  local data, length = frame.data, frame.length
+  goal.padding = can_id.padding(data, length, needed)
+  if not goal.padding then return false end
+  if not register or #data < length then return goal.takes_all end
+  return crc.update(register, data, 1, needed) == goal.crc
+end
+
+-- Return whether a message may do without a frame: if no Start superseded another, without one
+-- that came twice.
+local function may_leave_out(self, goal, index)
+  local before = self.frames[index - 1]
+  local is_repeated = before and before.data == self.frames[index].data
+  return not goal.takes_all and (self.starts > 0 or is_repeated)
+end
+
+-- Search depth first over the frames from `first` on; the newest frame has to be the last taken.
+-- goal      { crc = as sent, frames = those that are taken so far, takes_all = whether none may be
+--           left out, padding = found }
+-- register  of the CRC; false behind a truncated frame
+-- returns   whether these are a complete message
+local function search(self, goal, first, register, needed)
   local last, count = #self.frames, #goal.frames
   for i = first, last do
     local frame = self.frames[i]
     local data, length = frame.data, frame.length
     self.credit = self.credit - 1
-    if self.credit < self.reserve then return false end
+    if self.credit < self.reserve or self.bytes - frame.from < needed then return false end
     goal.frames[count + 1] = frame
-    -- What is truncated proves nothing.
-    local is_complete = #data == length
-    if i == last then
-      goal.padding = is_complete and can_id.padding(data, length, needed)
-      return goal.padding and crc.update(register, data, 1, needed) == goal.crc
-    end
-    if is_complete and length < needed and not frame.is_end and
-      search(self, goal, i + 1, crc.update(register, data), needed - length, spare) then
-      return true
+    if i == last then return is_end_of(goal, frame, register, needed) end
+    if length < needed and not frame.is_end then
+      local next_register = register and #data == length and crc.update(register, data)
+      if search(self, goal, i + 1, next_register, needed - length) then return true end
     end
     for k = #goal.frames, count + 1, -1 do goal.frames[k] = nil end
-    local before = self.frames[i - 1]
-    if self.starts == 0 and not (before and before.data == data) then return false end
-    spare = spare - length
-    if spare < 0 then return false end
+    if not may_leave_out(self, goal, i) then return false end
   end
-end
-
--- The padding of the newest frame if all that came since the newest Start is its message; nil if
--- not.
-local function padding_since_start(self, message)
-  local last = self.frames[#self.frames]
-  local needed = message.size - self:received(message) + last.length
-  return can_id.padding(last.data, last.length, needed)
-end
-
-local function frames_behind(self, message)
-  local list = {}
-  for i = first_behind(self, message), #self.frames do list[#list + 1] = self.frames[i] end
-  return list
-end
-
--- Return the frames since the newest Start if together they are its message.  The CRC decides;
--- where bytes are truncated, their number does.
--- register  CRC register in front of the payload
--- returns   list of frames, padding; nil where it does not
-local function all_since_start(self, message, register)
-  local padding = padding_since_start(self, message)
-  if not padding then return nil end
-  local frames = frames_behind(self, message)
-  for i, frame in ipairs(frames) do
-    local is_last = i == #frames
-    if frame.is_end and not is_last then return nil end
-    if #frame.data < frame.length then return frames, padding end
-    register = crc.update(register, frame.data, 1, #frame.data - (is_last and padding or 0))
-  end
-  if register == message.crc then return frames, padding end
 end
 
 -- Give frames to a message.  Return its payload, which ends with the first truncated frame, and
@@ -278,22 +255,18 @@ end
 -- returns  the message; nil if it completes none
 local function complete(self)
   local open = self.open
-  local function seed_of(message)
-    return can_id.seed(self.can_id, message.size, message.reserved)
-  end
-  local newest = open[#open].message
-  local frames, padding = all_since_start(self, newest, seed_of(newest))
-  if frames then return finish_candidate(self, #open, frames, padding) end
-  for i, candidate in ipairs(open) do
-    local message, before = candidate.message, open[i - 1]
+  for k = 0, #open do
+    local i = k == 0 and #open or k
+    local message, before = open[i].message, open[k - 1]
+    local first, size = first_behind(self, message), message.size
+    local goal = { crc = message.crc, frames = {}, takes_all = k == 0, padding = false }
     -- Let each message use its share of the credit: the oldest is usually broken, and searches most
     -- frames.
-    self.reserve = self.credit * (1 - 1 / (#open - i + 1))
-    local goal = { crc = message.crc, frames = {}, padding = false }
-    local first, size = first_behind(self, message), message.size
+    self.reserve = self.credit * (1 - 1 / (#open - k + 1))
+    local seed = can_id.seed(self.can_id, size, message.reserved)
     -- What does not complete a message completes no copy of it either.
     if not (before and have_same_start(before.message, message)) and
-      search(self, goal, first, seed_of(message), size, self:received(message) - size) then
+      search(self, goal, first, seed, size) then
       return finish_candidate(self, i, goal.frames, goal.padding)
     end
   end
@@ -301,17 +274,19 @@ end
 
 -- An End that completes no message seems to end the newest.  But the End may be of another bus.  So
 -- if other messages are open, a copy of the newest stays open for later frames.
-local function end_newest(self)
-  local index, status = #self.open, nil
+local function end_newest(self, last)
+  local index, frames, status = #self.open, {}, nil
   local message = self.open[index].message
   if index > 1 then
     local copy = { status = "superseded" }
     for name, value in pairs(message) do copy[name] = value end
-    open_message(self, copy, true)
+    self:open_message(copy, true)
   end
-  local padding = padding_since_start(self, message)
-  if not padding then status = self.reassembly:misfit(message, self:received(message)) end
-  finish_candidate(self, index, frames_behind(self, message), padding, status)
+  local received = self:received(message)
+  local padding = can_id.padding(last.data, last.length, message.size - received + last.length)
+  if not padding then status = self.reassembly:misfit(message, received) end
+  for i = first_behind(self, message), #self.frames do frames[#frames + 1] = self.frames[i] end
+  finish_candidate(self, index, frames, padding, status)
 end
 
 -- Whether the pool has more bytes than all open messages can use: then none of them will be good.
@@ -338,7 +313,7 @@ function Pool:add_fragment(frame)
   else
     newest[#newest + 1], newest.time = frame.key, frame.time -- as it seems
     if is_end then
-      end_newest(self)
+      end_newest(self, pooled)
       kind = "last"
     end
   end

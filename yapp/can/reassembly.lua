@@ -42,14 +42,13 @@ local Reassembly = {}
 Reassembly.__index = Reassembly
 
 --- Make the reassembly of one capture.
--- max_open   messages that may be open at once; 1024 if left out
--- can_judge  function(time) -> whether time stamps tell what is a copy; they always do if left out
--- on_unknown function(id, seq), called at each Start of an ID that has no message type; or nil
-function M.new(max_open, can_judge, on_unknown)
+-- can_judge  function(time) -> whether time stamps tell what is a copy
+-- on_unknown function(id, seq), called at each Start of an ID that has no message type
+function M.new(can_judge, on_unknown)
   return setmetatable({
-    can_judge = can_judge or function() return true end,
-    on_unknown = on_unknown or function() end,
-    max_open = max_open or MAX_OPEN,
+    can_judge = can_judge,
+    on_unknown = on_unknown,
+    max_open = MAX_OPEN, -- messages that may be open at once
     open = {}, -- [slot] = the message that is open there, or can.interleaved of several
     open_count = 0,
     ended = {}, -- [slot] = the good message that ended there last

@@ -58,7 +58,7 @@ function Reading:reset(options)
   self.messages = messages.new(self.types, history.new(options), finder)
   -- CAN:
   local function can_judge(time) return finder:can_judge(time) end
-  self.reassembly = reassembly.new(nil, can_judge, self.on_unknown)
+  self.reassembly = reassembly.new(can_judge, self.on_unknown)
   self.sources = memo(function(bus) -- [bus or false][ID] = a source
     return memo(function(id) return self.types:new_source(id, bus, self.buses:name(bus)) end)
   end)
