@@ -106,12 +106,17 @@ def comparison(name, passes, frames):
 
 # The captures of this folder -------------------------------------------------------------------------------------
 
-def renumbered(frame, before):
-    """A frame, as it is with so many frames fewer before it."""
+# Beside another controller with its ID, a source has its name in Info: Motor Data 0x210 (if3), or ID 0x300 (if3).
+NAMED_SOURCE = re.compile(r"(?<!ID) 0x[0-9a-f]+ \([^()]+\)|(?<=0x...) \([^()]+\)")
+
+
+def as_alone(frame, before):
+    """A frame of a capture with one bus, as it is without the frames before it and without controllers beside it."""
     def number(match):
         return match[1] + str(int(match[2]) - before)
 
-    return {**frame, "frame": frame["frame"] - before, "info": re.sub(r"(#|\bframe )(\d+)", number, frame["info"]),
+    info = NAMED_SOURCE.sub("", frame["info"])
+    return {**frame, "frame": frame["frame"] - before, "info": re.sub(r"(#|\bframe )(\d+)", number, info),
             **{name: [str(int(one) - before) for one in frame[name]] for name in FRAME_NUMBERS if name in frame}}
 
 
@@ -127,7 +132,7 @@ def shown_together(names, passes, options):
     found, before = {}, 0
     for name, source in zip(names, sources):
         behind = before + len(source.packets)
-        found[name] = [renumbered(frame, before) for frame in frames if before < frame["frame"] <= behind]
+        found[name] = [as_alone(frame, before) for frame in frames if before < frame["frame"] <= behind]
         before = behind
     return found
 

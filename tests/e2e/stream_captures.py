@@ -467,14 +467,14 @@ USER0, ETHERNET, RTAC, EXPORTED_PDU, USBMON, USBPCAP = 147, 1, 250, 252, 220, 24
 class Origin:
     """Where a stream was captured: interface, and the number of the stream, of which come two to a conversation."""
 
-    def __init__(self, linktype, interface, number, address=None):
-        self.linktype, self.interface, self.number, self.address = linktype, interface, number, address
+    def __init__(self, linktype, interface, number, address=None, host=1):
+        self.linktype, self.interface, self.number, self.address, self.host = linktype, interface, number, address, host
         self.direction, self.pair = number % 2, number // 2
         self.bus_direction = (linktype == RTAC) * ("tx", "rx")[self.direction]
 
 
 def addresses(origin):
-    here, there = bytes([192, 0, 2, 1]), bytes([198, 51, 100, origin.pair // 2 % 250 + 1])
+    here, there = bytes([192, 0, 2, origin.host]), bytes([198, 51, 100, origin.pair // 2 % 250 + 1])
     ports = (50000 + origin.pair, 20001)
     return (here, there, *ports) if origin.direction == 0 else (there, here, *ports[::-1])
 

@@ -121,6 +121,16 @@ def test_fields_and_info(name, passes):
     assert text == wanted
 
 
+@pytest.mark.parametrize("passes", ["one pass", "-2"])
+def test_captures_are_right_beside_others(passes):
+    """In one file with all others that have the same options, so that one run shows them; few take something from others."""
+    names = [name for name in NAMES if not make.read(name).options]
+    together = expected.shown_together(tuple(names), passes, ())
+    compared = {name: expected.comparison(name, passes, together[name]) for name in names if name not in expected.SWEPT}
+    wrong = {name for name, (wanted, text) in compared.items() if wanted != text}
+    assert len(compared) > 40 and wrong <= {"remote_frames", "tcp_conversation", "time_delta", "two_buses_sll2", "two_interfaces", "udp_several"}
+
+
 def test_the_comparison_sees_each_difference():
     """A frame that is not there, another text in Info, and another value of any field."""
     def are_equal(passes, frames):

@@ -128,6 +128,7 @@ def test_controllers_in_ipv6(folder):
 
 # Byte streams in UDP ---------------------------------------------------------------------------------------------
 
+@levels.each_once
 @levels.by_version
 @PASSES
 @pytest.mark.parametrize("arguments", [[], ["-d", "udp.port==14550,yapp_serial"]], ids=["found", "Decode As"])
@@ -173,6 +174,7 @@ def mavlink(payload, number=0):
     return b"\xfd" + struct.pack("<BBBBBB", len(payload), 0, 0, number % 256, 1, 1) + b"\x21\0\0" + payload + b"\0\0"
 
 
+@levels.each_once
 @PASSES
 @pytest.mark.parametrize("length", [5, 20, 100])
 def test_datagrams_of_mavlink_between_the_pieces_of_a_frame(folder, passes, length):
@@ -189,6 +191,7 @@ def test_datagrams_of_mavlink_between_the_pieces_of_a_frame(folder, passes, leng
     assert {int(row[0]) % 2 for row in shown} == {1} and len(shown) >= len(packets) // 2 - 3  # the first ones are on trial
 
 
+@levels.each_once
 @PASSES
 @pytest.mark.parametrize("foreign", [
     mavlink(b"YP" + bytes(range(100, 126))), mavlink(bytes(20) + b"YP" + bytes([200] * 6)), b"some YP text", b"text, YP\0\0\x10\x92",
@@ -206,6 +209,7 @@ def test_yp_in_datagrams_of_others(folder, passes, foreign):
     assert counts == {("192.0.2.1:50000", MOTOR_DATA): 20} and kinds(events) == {"fault"}
 
 
+@levels.each_once
 @PASSES
 @pytest.mark.parametrize("length", [1, 2, 3, 7])
 def test_small_pieces_that_were_recorded_twice(folder, passes, length):
@@ -223,6 +227,7 @@ def test_small_pieces_that_were_recorded_twice(folder, passes, length):
 TCP_PORT = ["-d", "tcp.port==4001,yapp_serial"]
 
 
+@levels.each_once
 @levels.by_version
 @PASSES
 @pytest.mark.parametrize("arguments", [[], TCP_PORT], ids=["found", "Decode As"])
@@ -241,6 +246,7 @@ def tcp_pieces(data, length, start=0):
     return packets
 
 
+@levels.each_once
 @PASSES
 @pytest.mark.parametrize("length, start", [(1, 0), (3, 17), (11, 30), (20, 1)])
 def test_small_segments_that_begin_within_a_message(folder, passes, length, start):
@@ -251,6 +257,7 @@ def test_small_segments_that_begin_within_a_message(folder, passes, length, star
     assert len(raised(events)) == 1 and not kinds(events) & {"crc", "incomplete", "unfinished"}
 
 
+@levels.each_once
 @PASSES
 @pytest.mark.parametrize("length, begin", [(1, 6), (2, 3), (3, 2)])
 def test_small_segments_out_of_order_before_the_first_header(folder, passes, length, begin):
@@ -276,6 +283,7 @@ def test_segments_before_the_first_header_in_two_passes(folder):
     assert shown == ["10"] * 10
 
 
+@levels.each_once
 @PASSES
 @pytest.mark.parametrize("link", ["udp", "tcp"])
 def test_a_piece_before_packets_that_show_yapp(folder, passes, link):
@@ -307,6 +315,7 @@ def test_one_pass_tells_what_two_tell_of_the_first_pieces(folder):
 
 # Telnet ----------------------------------------------------------------------------------------------------------
 
+@levels.each_once
 @levels.by_version
 @PASSES
 @pytest.mark.parametrize("arguments", [[], TCP_PORT], ids=["found", "Decode As"])
@@ -317,16 +326,17 @@ def test_telnet(passes, arguments):
     assert len(raised(events)) == 1 and not kinds(events) & {"crc", "incomplete", "unfinished"}
 
 
+@levels.each_once
+@PASSES
 @pytest.mark.parametrize("length", [1, 10, 49, 500])
-def test_telnet_in_segments_of_any_length(folder, length):
+def test_telnet_in_segments_of_any_length(folder, passes, length):
     messages = [frame(MOTOR_DATA, bytes([255]) * number + bytes(32 - number), seq=255 - number % 2) for number in range(30)]
     data = b"".join(messages).replace(b"\xff", b"\xff\xff")
     path = written(folder, tcp_pieces(data, length), stream_captures.tcp)
-    for passes in [], ["-2"]:
-        counts, events = statistics(path, *passes)
-        assert counts == {("192.0.2.1:50000", MOTOR_DATA): 30} and not kinds(events) & {"crc", "incomplete", "skipped"}
-        rows = tshark.fields(path, ["yapp.payload", "yapp.crc.status"], *passes, "-o", "yapp.search_all:TRUE")
-        assert ",".join(row[1] for row in rows if row[1]) == ",".join(["1"] * 30)
+    counts, events = statistics(path, *passes)
+    assert counts == {("192.0.2.1:50000", MOTOR_DATA): 30} and not kinds(events) & {"crc", "incomplete", "skipped"}
+    rows = tshark.fields(path, ["yapp.payload", "yapp.crc.status"], *passes, "-o", "yapp.search_all:TRUE")
+    assert ",".join(row[1] for row in rows if row[1]) == ",".join(["1"] * 30)
 
 
 # Directions ------------------------------------------------------------------------------------------------------
@@ -405,6 +415,7 @@ def tls_packet(packet):
     return stream_captures.ethernet(packet, 6, data)
 
 
+@levels.each_once
 @levels.by_version
 @PASSES
 @pytest.mark.parametrize("how", ["two records in a segment", "frames cut over records", "records cut over segments"])
@@ -436,6 +447,7 @@ def test_records_of_tls(folder, passes, how):
 
 # USB adapters ----------------------------------------------------------------------------------------------------
 
+@levels.each_once
 @levels.by_version
 @PASSES
 @pytest.mark.parametrize("name, bus", [("usbmon_cdc", "usb1.6.1#rx"), ("usbmon_ftdi", "usb1.5.1#rx")])
@@ -454,6 +466,7 @@ ADAPTERS = {  # how the bytes come, and how many in a transfer
 }
 
 
+@levels.each_once
 @levels.by_version
 @pytest.mark.parametrize("how, linktype", [(usbmon, USBMON), (usbpcap, USBPCAP)], ids=["usbmon", "USBPcap"])
 @pytest.mark.parametrize("adapter", ADAPTERS)
@@ -470,15 +483,13 @@ def test_usb_adapters(folder, adapter, how, linktype):
         packet.sequence = one
         packets.append((index / 500, packet))
     path = written(folder, packets, lambda packet: how(*packet.sequence, 7))
-    for passes in [], ["-2"]:
-        counts, events = statistics(path, *passes)
-        rx, tx = ("usb2.7.1#rx", "usb2.7.2#tx")
+    rx, tx = ("usb2.7.1#rx", "usb2.7.2#tx")
+    names = [["-o", f"yapp.sources:{part}/0x210=motor:left"] for part in ("usb2.7.1", "usb2.7")]  # its endpoint, the adapter
+    for name, options in (None, []), ("left", names[0]), ("left", ["-2", *names[1]]):
+        counts, events = statistics(path, *options)
         assert counts == {(rx, MOTOR_DATA): 20, (tx, 0): 9}
-        assert raised(events) == [[rx, None]] and not kinds(events) & {"crc", "incomplete", "skipped", "unfinished"}
-    names = "yapp.sources:usb2.7.1/0x210=motor:left"
-    for part in "usb2.7.1", "usb2.7":  # its endpoint, the adapter
-        assert raised(statistics(path, "-o", f"yapp.sources:{part}/0x210=motor:left")[1]) == [[rx, "left"]]
-    tshark.assert_no_lua_errors(path, "-V")
+        assert raised(events) == [[rx, name]] and not kinds(events) & {"crc", "incomplete", "skipped", "unfinished"}
+    tshark.assert_no_lua_errors(path, "-V", passes=[["-2"]])
 
 
 def test_foreign_usb_is_left_alone(folder):
@@ -567,6 +578,7 @@ def with_ports(kind, ports, fault=10):
 OF_OTHERS = {"udp": 44818, "tcp": 44818}  # EtherNet/IP
 
 
+@levels.each_once
 @levels.by_version
 @PASSES
 @pytest.mark.parametrize("kind", OF_OTHERS)
@@ -577,16 +589,22 @@ def test_a_client_whose_port_is_another_protocols(folder, passes, kind):
     assert counts == {(f"192.0.2.1:{port}", MOTOR_DATA): 20 for port in (40000, OF_OTHERS[kind])}
     assert raised(events) == [[f"192.0.2.1:{OF_OTHERS[kind]}", None]]
     assert len(tshark.fields(path, ["yapp.id"], "-Y", "yapp", *passes)) == 40
-    tshark.assert_no_lua_errors(path, "-V")
+    tshark.assert_no_lua_errors(path, "-V", passes=[passes])
+
+
+@levels.each_once
+@PASSES
+@pytest.mark.parametrize("what", ["faults", "check", "summary", "events", "compare", "csv,-,motor"])
+def test_a_conversation_that_another_protocol_takes_is_no_all_clear(folder, passes, what):
+    """HTTP has the server's port: what was decoded is well, but the fault is in the other one."""
+    path = written(folder, with_ports("tcp", [(4001, 50000), (8080, 50000)]), ported)
+    done = tshark.run("-q", "-r", path, *passes, "-z", f"yapp,{what}", check=False)
+    assert done.returncode == 21 and "try -d tcp.port==8080,yapp_serial" in done.stdout + done.stderr
 
 
 @PASSES
-def test_a_conversation_that_another_protocol_takes_is_no_all_clear(folder, passes):
-    """HTTP has the server's port: what was decoded is well, but the fault is in the other one."""
+def test_a_conversation_that_another_protocol_takes_is_decoded_as_yapp(folder, passes):
     path = written(folder, with_ports("tcp", [(4001, 50000), (8080, 50000)]), ported)
-    for what in "faults", "check", "summary", "events", "compare", "csv,-,motor":
-        done = tshark.run("-q", "-r", path, *passes, "-z", f"yapp,{what}", check=False)
-        assert done.returncode == 21 and "try -d tcp.port==8080,yapp_serial" in done.stdout + done.stderr, what
     done = tshark.run("-q", "-r", path, *passes, "-d", "tcp.port==8080,yapp_serial", "-z", "yapp,check", check=False)
     assert done.returncode == 20 and "was not decoded" not in done.stdout + done.stderr
 
@@ -605,6 +623,7 @@ def test_a_first_message_that_another_protocol_takes_is_no_all_clear(folder, pas
 
 
 @levels.by_version
+@levels.each_once
 @PASSES
 @pytest.mark.parametrize("length", [7, 20])
 def test_pieces_on_a_port_of_another_protocol_are_no_all_clear(folder, passes, length):
@@ -621,12 +640,12 @@ def test_pieces_on_a_port_of_another_protocol_are_no_all_clear(folder, passes, l
     assert counts == {("192.0.2.1:502", MOTOR_DATA): 20}
 
 
+@levels.each_once
 @PASSES
-@pytest.mark.parametrize("kind, ports", [("udp", (502, 44818)), ("tcp", (8080, 3306)), ("tcp", (3306, 50000))])
-def test_conversations_of_other_protocols_ports_behind_64_kb(folder, passes, kind, ports):
+@pytest.mark.parametrize("conversation", [("udp", (502, 44818)), ("tcp", (8080, 3306)), ("tcp", (3306, 50000))])
+def test_conversations_of_other_protocols_ports_behind_64_kb(folder, passes, conversation):
     """Statistics search the file for them, and name the option; without it they are no all-clear."""
-    other = with_ports("udp", [(30001, 30002)], fault=None)[0][1]
-    filling = []
+    (kind, ports), other, filling = conversation, with_ports("udp", [(30001, 30002)], fault=None)[0][1], []
     for number in range(100):
         packet = Packet(b"of another protocol" * 50, other.origin)
         packet.ports, packet.kind = (30001, 30002), "udp"
@@ -652,11 +671,12 @@ def test_a_serial_interface_beside_ethernet_is_no_all_clear(folder):
 
 
 @levels.by_version
+@levels.each_once
 @PASSES
-@pytest.mark.parametrize("how, sources", [("ended", 1), ("broken off", 1), ("side by side", 2)])
-def test_a_client_that_connects_again(folder, passes, how, sources):
+@pytest.mark.parametrize("how", ["ended", "broken off", "side by side"])
+def test_a_client_that_connects_again(folder, passes, how):
     """Its system picks a new port; a client beside it is another one, even behind one address."""
-    packets, pause = [], 4 if how == "broken off" else 0
+    packets, pause, sources = [], 4 if how == "broken off" else 0, 2 if how == "side by side" else 1
     for index, (seconds, data) in enumerate(flight()):
         number = index % 2 if how == "side by side" else index // 10
         packet = Packet(data, Origin(ETHERNET, 0, 2 * number))

@@ -278,6 +278,7 @@ def test_the_comparison_sees_each_field(folder):
 # Single situations -----------------------------------------------------------------------------------------------
 
 ONE, TWO, THREE = (frame(0x301 + number, bytes([number]) * 30, seq=number) for number in range(3))
+MANY = [frame(0x301, bytes([number]) * 30, seq=number) for number in range(13)]
 BAD = ONE[:-1] + bytes([ONE[-1] ^ 1])
 CLAIM = header(0x333, 65535)
 MOTOR = frame(0x210, bytes(range(32)))
@@ -298,7 +299,7 @@ SITUATIONS = {
     "several messages in one packet": (SERIAL, [
         (b"> ps\r\n" + ONE + TWO + BAD + b"\x00", [("skipped", b"> ps\r\n"), ("good", ONE), ("good", TWO), ("bad", BAD),
                                               ("skipped", b"\0")])]),
-    "more messages than Info names": (UDP, [(ONE * 13, [("good", ONE)] * 13)]),
+    "more messages than Info names": (UDP, [(b"".join(MANY), [("good", one) for one in MANY])]),
     "a frame over three packets": (SERIAL, [
         (ONE[:5], [], ONE[:5]), (ONE[5:20], [], ONE[5:20]), (ONE[20:] + b"ok", [("good", ONE), ("skipped", b"ok")])]),
     "a packet that ends one frame and begins another": (SERIAL, [
@@ -384,7 +385,7 @@ def packets_told(linktype, number, rows, before):
             continue
         data, events, *pending = row
         data, captured = data if isinstance(data, tuple) else (data, len(data))
-        packet = Packet(data, Origin(linktype, 0, 2 * number, address=True), captured)
+        packet = Packet(data, Origin(linktype, 0, 2 * number, address=True, host=number + 1), captured)
         packet.number, packet.sequence = before + len(packets) + 1, sequence
         packet.time = stream_captures.EPOCH + packet.number * 25000  # farther apart than copies of a message
         packet.start, packet.end = offset, offset + captured
