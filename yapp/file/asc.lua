@@ -79,19 +79,13 @@ local EVENTS = {
 -- With one of these behind the time, a line may have been a frame.
 local LIKE_FRAMES = { "^%d+%s", "^%d+$", "^canfd%f[^%a]", "%f[%a][rt]x%f[^%a]" }
 
-local function has_one_of(lower, patterns)
-  for _, pattern in ipairs(patterns) do
-    if lower:find(pattern) then return true end
-  end
-  return false
-end
-
 -- Return why a line without a frame was not understood, nil if it is known.
 -- rest  what follows its time, nil without a time
 local function reason_of(line, rest)
-  if not rest then return not has_one_of(line:lower(), PLAIN) and UNKNOWN or nil end
+  if not rest then return not text.has_one_of(line:lower(), PLAIN) and UNKNOWN or nil end
   local lower = rest:lower()
-  return has_one_of(lower, LIKE_FRAMES) and not has_one_of(lower, EVENTS) and UNKNOWN or nil
+  local is_unknown = text.has_one_of(lower, LIKE_FRAMES) and not text.has_one_of(lower, EVENTS)
+  return is_unknown and UNKNOWN or nil
 end
 
 -- Return the id in "8404000x", with SocketCAN's flag of an extended one; nil for another text.

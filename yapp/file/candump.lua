@@ -306,10 +306,7 @@ local RESTS = { "%x#", "[%[{]%x+[%]}]", "^#?[%x%s`]*$", "^#?[%x%s`]*[RT]%s*$" }
 -- the mark of another format.
 local function may_begin(lines)
   if #lines == 0 or table.concat(lines, "\n"):find("candump ", 1, true) then return true end
-  for _, rest in ipairs(RESTS) do
-    if #lines == 1 and lines[1]:find(rest) then return true end
-  end
-  return false
+  return #lines == 1 and text.has_one_of(lines[1], RESTS)
 end
 
 -- Survey the first lines of a file; return nil if they are not candump's: { deltas = whether
@@ -378,19 +375,12 @@ end
 -- A line that has one of these, and was not understood, was a frame.
 local LIKE_FRAMES = { "^%s*%([%d-]", "%x#", "%[%x+%]%s", "{%x}%s" }
 
-local function has_one_of(line, patterns)
-  for _, pattern in ipairs(patterns) do
-    if line:find(pattern) then return true end
-  end
-  return false
-end
-
 -- Account for a line without a frame: note the packets that candump says it lost.
 local function add_drop(log, line, why, is_harmless)
   local count, bus = line:match("^DROPCOUNT: dropped (%d+)[^']*'?([^',]*)")
   if not count then
     if is_harmless then return log:skip(line, why, true) end
-    return log:lose(line, why, not has_one_of(line, LIKE_FRAMES))
+    return log:lose(line, why, not text.has_one_of(line, LIKE_FRAMES))
   end
   log:skip(line, why)
   log.drops[#log.drops + 1] = {

@@ -155,6 +155,14 @@ end
 
 -- What stands in a line ---------------------------------------------------------------------------
 
+--- Return whether a text has one of these patterns.
+function M.has_one_of(line, patterns)
+  for _, pattern in ipairs(patterns) do
+    if line:find(pattern) then return true end
+  end
+  return false
+end
+
 --- Return the seconds since 1970 of a local time, or nil if it does not exist.
 -- date  { year, month, day, hour, min, sec = numbers or their digits }, which os.time may change
 function M.seconds_of(date)

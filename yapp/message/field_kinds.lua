@@ -258,21 +258,13 @@ local function sized(prefix, base_of)
   return function(field) return prefix .. field.size * 8, base_of(field) end
 end
 
-local function decimal()
-  return nil
-end
-
-local function hexadecimal()
-  return "HEX"
+-- Return a function that always returns this.
+local function always(result)
+  return function() return result end
 end
 
 local function hexadecimal_if_enum(field)
   return field.values and "HEX"
-end
-
--- Return a function that always returns this.
-local function always(result)
-  return function() return result end
 end
 
 local function hex_digits(char)
@@ -369,7 +361,7 @@ local TEXT = {
 M.BY_NAME = {
   uint = like(CODE, { filter = sized("UINT", hexadecimal_if_enum) }),
   int = like(CODE, {
-    filter = sized("INT", decimal),
+    filter = sized("INT", always(nil)),
     code = "%d", -- COMPAT 5.2: a negative number has no hexadecimal text
   }),
   -- value = count * scale + zero
@@ -391,7 +383,7 @@ M.BY_NAME = {
   float = like(NUMBER, { choose = choose_float, value = float_value, source = float_source }),
   ieee = like(NUMBER, { choose = always(read_ieee), value = ieee_value, source = special_source }),
   flags = {
-    filter = sized("UINT", hexadecimal),
+    filter = sized("UINT", always("HEX")),
     shown = "flags",
     choose = choose_integer,
     info = code_info,

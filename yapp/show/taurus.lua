@@ -74,19 +74,18 @@ function ADD.number(field, fields)
   end
 end
 
-function ADD.text(field, fields)
-  local pf = fields[field.filter]
-  return function(parent, range, raw)
-    return add(parent, pf, range, value_of(field, raw))
+-- A value that is worked out from the bytes.
+local function adding(value)
+  return function(field, fields)
+    local pf = fields[field.filter]
+    return function(parent, range, raw)
+      return add(parent, pf, range, value(field, raw))
+    end
   end
 end
 
-function ADD.time(field, fields)
-  local pf = fields[field.filter]
-  return function(parent, range, raw)
-    return add(parent, pf, range, NSTime.new(binary.time(raw, 0)))
-  end
-end
+ADD.text = adding(value_of)
+ADD.time = adding(function(_, raw) return NSTime.new(binary.time(raw, 0)) end)
 
 -- Return a function(raw) -> the ProtoFields of flags, those that are set first: of thirty faults
 -- the one that is there is seen at once.  It keeps the latest order.

@@ -37,20 +37,20 @@ local OK = {
   code = output.EXIT_OK,
 }
 local COLUMNS = output.columns {
-  { "ok", type = "boolean", where = "json text window", title = "check",
+  { "ok", type = "boolean", title = "check",
     help = "whether the rule holds; null if it could not be judged" },
-  { "rule", type = "string", where = "json text window", help = "the rule" },
-  { "who", where = "window" },
-  { "bus", where = "json text" },
-  { "id", where = "json text" },
-  { "source", where = "json text" },
-  { "message", where = "json text window" },
-  { "frame", where = "json text" },
-  { "seen", type = "number", where = "json text window", help = "what was seen" },
+  { "rule", type = "string", help = "the rule" },
+  { "who" },
+  { "bus" },
+  { "id" },
+  { "source" },
+  { "message" },
+  { "frame" },
+  { "seen", type = "number", help = "what was seen" },
   { "limit", type = "text", where = "json", help = "a number, or a text such as `9..11`" },
-  { "worst", type = "number", where = "json text window",
+  { "worst", type = "number",
     help = "the value that is farthest outside" },
-  { "note", type = "text", where = "json text window", help = "why, or what else to know" },
+  { "note", type = "text", help = "why, or what else to know" },
 }
 --- The columns, see output.columns.
 M.COLUMNS = COLUMNS

@@ -15,8 +15,8 @@ local M = {}
 
 local words = output.words
 local COLUMNS = output.columns {
-  { "file", type = "text", where = "json text window", help = "the path of a table" },
-  { "rows", type = "integer", where = "json text window", help = "how many rows it has" },
+  { "file", type = "text", help = "the path of a table" },
+  { "rows", type = "integer", help = "how many rows it has" },
 }
 --- The columns of its own output, see output.columns.
 M.COLUMNS = COLUMNS

@@ -9,19 +9,19 @@ local output = require "yapp.stat.output"
 local M = {}
 
 local WHEN_AND_WHO = {
-  { "time", where = "json text" },
-  { "rel", where = "text window" },
-  { "frame", where = "json text" },
-  { "who", where = "window" },
-  { "bus", where = "json text" },
-  { "id", where = "json text" },
-  { "source", where = "json text" },
+  { "time" },
+  { "rel" },
+  { "frame" },
+  { "who" },
+  { "bus" },
+  { "id" },
+  { "source" },
 }
 local KIND = { "kind", type = "string", where = "json",
   help = "what happened: `fault`, `reboot`, `silence` and others, see statistics.md" }
 -- A line of JSON has the keys of its kind alone, see stat.kinds.
 local EVENTS = output.columns(joined({ KIND }, WHEN_AND_WHO, {
-  { "message", where = "json text window" },
+  { "message" },
   { "kind", where = "text", title = "event" },
   { "details", where = "text window" },
   -- The values of the kinds:
@@ -40,9 +40,9 @@ local EVENTS = output.columns(joined({ KIND }, WHEN_AND_WHO, {
 local FAULTS = output.columns(joined(WHEN_AND_WHO, {
   { "message", where = "json text" },
   { "field", where = "json text" },
-  { "flag", where = "json text window" },
-  { "event", where = "json text window" },
-  { "active", where = "json text window" },
+  { "flag" },
+  { "event" },
+  { "active" },
   { "help", type = "string", where = "json text", help = "what the catalogue says of the flag" },
 }))
 --- The columns of both, see output.columns.

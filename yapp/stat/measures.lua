@@ -37,6 +37,9 @@ end
 local function measure_range(group, rule)
   local values = group.values[rule.want]
   if values.seen == 0 then return nil, nil, NO_VALUE end
+  if values.lets_reserved and values.count == 0 then
+    return nil, nil, "all its values are reserved"
+  end
   return values.outside, values.frame, ("of %d values"):format(values.seen), values.worst
 end
 
@@ -45,12 +48,6 @@ local function want_range(rule, field)
   local want = { field = field, low = rule.low, high = rule.high }
   rule.low, rule.high = -INFINITE, 0
   return want
-end
-
-local function measure_numbers(group, rule)
-  local values = group.values[rule.want]
-  if values.seen > 0 and values.count == 0 then return nil, nil, "all its values are reserved" end
-  return measure_range(group, rule)
 end
 
 local function want_numbers(rule, field)
@@ -125,7 +122,7 @@ M.OF_FIELD = {
     name = "numbers",
     text = "MESSAGE.FIELD.numbers=A..B",
     help = "all values but reserved ones lie within",
-    measure = measure_numbers,
+    measure = measure_range,
     takes_range = true,
     want = want_numbers,
   },

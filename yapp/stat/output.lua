@@ -142,23 +142,27 @@ end
 -- Columns of several statistics: their rows name them by the key.
 local COMMON = {
   time = {
+    where = "json text",
     type = "time",
     title = "time (UTC)",
     help = "when it happened, UTC; null where nothing came",
   },
-  rel = { title = "since start/s", short = "at/s" },
-  frame = { type = "integer", help = "the packet that shows it" },
-  who = { title = "source" },
+  rel = { where = "text window", title = "since start/s", short = "at/s" },
+  frame = { where = "json text", type = "integer", help = "the packet that shows it" },
+  who = { where = "window", title = "source" },
   bus = {
+    where = "json text",
     type = "string",
     help = "the bus or line; null where the capture names none",
   },
   id = {
+    where = "json text",
     type = "id",
     title = "ID",
     help = "the message ID; null where the event is of the whole capture",
   },
   source = {
+    where = "json text",
     type = "string",
     help = "the name that `yapp.sources` gives to the ID; null without a name",
   },
@@ -187,7 +191,8 @@ end
 
 --- Read the columns of a table, a row each, in their order.
 -- rows     list of { key,
---            where  the places that show it: "json", "text", "window", or several of them
+--            where  the places that show it: "json", "text", "window", or several of them; nil
+--                   for all
 --            type   in JSON: "integer", "id", "number", "seconds", "time" (seconds since 1970),
 --                   "boolean", "string" (one of a few), "text", "values" (an object by field) or
 --                   "list"; nil if JSON has it in no line
@@ -199,7 +204,7 @@ end
 function M.columns(rows)
   local columns = { json = {}, text = {}, window = {}, all = {} }
   for i, row in ipairs(rows) do
-    local column = { key = row[1] }
+    local column = { key = row[1], where = "json text window" }
     for name, value in pairs(COMMON[column.key] or {}) do column[name] = value end
     for name, value in pairs(row) do column[name] = value end
     column.title = title_of(column)

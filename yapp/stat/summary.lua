@@ -13,29 +13,29 @@ local M = {}
 
 -- Besides, `kind` is the kind of event that a column counts.
 local COLUMNS = output.columns {
-  { "who", where = "window" },
-  { "bus", where = "json text" },
-  { "id", where = "json text" },
-  { "source", where = "json text" },
-  { "message", where = "json text window" },
-  { "count", type = "integer", where = "json text window", help = "good messages" },
-  { "rate", type = "number", unit = "Hz", where = "json text window",
+  { "who" },
+  { "bus" },
+  { "id" },
+  { "source" },
+  { "message" },
+  { "count", type = "integer", help = "good messages" },
+  { "rate", type = "number", unit = "Hz",
     help = "(count - 1) / (last - first)" },
   { "gap_min", type = "seconds", unit = "s", where = "json text", title = "gap/s min",
     help = "the shortest time between two messages" },
   { "gap_mean", type = "seconds", unit = "s", where = "json text", title = "mean",
     help = "the mean" },
-  { "gap_max", type = "seconds", unit = "s", where = "json text window", title = "max",
+  { "gap_max", type = "seconds", unit = "s", title = "max",
     short = "gap/s", help = "the longest" },
   { "gap_max_frame", type = "integer", where = "json text", title = "in frame",
     help = "the message behind the longest gap" },
-  { "crc_bad", type = "integer", kind = "crc", where = "json text window", title = "bad CRC",
+  { "crc_bad", type = "integer", kind = "crc", title = "bad CRC",
     short = "CRC",
     help = "messages with a bad CRC" },
-  { "incomplete", type = "integer", kind = "incomplete", where = "json text window",
+  { "incomplete", type = "integer", kind = "incomplete",
     short = "lost",
     help = "messages without their beginning, with bytes missing, truncated or unfinished" },
-  { "late", type = "integer", kind = "late", where = "json text window",
+  { "late", type = "integer", kind = "late",
     help = "silences between two messages" },
   { "silent", where = "text window", title = "silent/s at the end",
     short = "silent/s" }, -- JSON has it as an event
@@ -57,7 +57,7 @@ M.COLUMNS = COLUMNS
 
 local RANGE = output.words("min mean max")
 local VALUES = output.columns {
-  { "who", where = "window" },
+  { "who" },
   { "bus", where = "text" },
   { "id", where = "text" },
   { "source", where = "text" },
@@ -118,18 +118,18 @@ local OF_SOURCE = output.words("bus id source count min mean max")
 -- People read a line for each field and source.
 local COMPARED = output.columns {
   { "message", where = "json" },
-  { "field", where = "json text window", help = "the field" },
-  { "unit", type = "string", where = "json text window", help = "its unit" },
+  { "field", help = "the field" },
+  { "unit", type = "string", help = "its unit" },
   { "who", where = "text window" },
   { "min", where = "text window" },
   { "mean", where = "text" }, -- the window of Summary has it
   { "max", where = "text window" },
   { "far", where = "text window", title = "far from the others", short = "far" },
-  { "spread", type = "number", where = "json text window",
+  { "spread", type = "number",
     help = "the largest difference of the sources at one time" },
   { "time", where = "json", help = "when they differ by it" },
   { "rel", where = "text" },
-  { "frame", where = "json text" },
+  { "frame" },
   { "sources", type = "list", where = "json", help = "`" .. table.concat(OF_SOURCE, " ") .. "`" },
 }
 --- The columns of compare, see output.columns.

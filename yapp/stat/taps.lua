@@ -132,8 +132,7 @@ local function tap_packets(self)
       if not self.frames:is_second_pass(pinfo.number) then end_trees(self, tap, clock) end
     end
     if deferral.is_undecided then deferral:decide(self.builder.wanted) end
-    local rel = buses.found.start and buses:time(pinfo) or pinfo.rel_ts
-    self.queue:packet(pinfo.number, rel, lacks_clock)
+    self.queue:packet(pinfo.number, buses:time(pinfo), lacks_clock)
     calls.ended = calls.ended + 1
   end
 
