@@ -46,3 +46,10 @@ def test_a_plugin_that_cannot_write_is_the_same(make_capture):
     says = "yapp: csv: csv/fields.json: No space left on device"
     with pytest.raises(yt.SetupError, match=r"the disk is full: .+; free some space there, or set TMPDIR"):
         yt.read(make_capture("flight.pcapng", motor=[motor_row(0)], says=says), tshark=FAKE)
+
+
+def test_a_full_disk_of_the_data_set_advises_no_other_folder_for_temporary_files(make_capture, tmp_path):
+    says = "yapp: csv: csv/fields.json: No space left on device"
+    capture = make_capture("flight.pcapng", motor=[motor_row(0)], says=says)
+    with pytest.raises(yt.SetupError, match=r"the disk is full: .+data.yapp-tables.+; free some space there$"):
+        yt.convert_one(capture, yt.Config(str(tmp_path / "data"), tshark=yt.Tshark(program=str(FAKE))), made=None)

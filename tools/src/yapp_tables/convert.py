@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +15,6 @@ from .config import Config, StrPath
 from .dataset import DataSet, MadeBy, Result, plain_name
 from .errors import CaptureError, SetupError, YappError, need
 from .records import SUMMARY, all_tables, name_hint, table
-from .scratch import disk_full
 from .sources import begin
 from .tables import Origin, Table, digests, nothing_in, present
 from .tshark import Export, Tshark, check_file
@@ -92,8 +90,6 @@ def convert_one(capture: StrPath, config: Config, made: MadeBy | None = None, tr
     except SetupError:
         raise
     except OSError as error:
-        if error.errno == errno.ENOSPC:
-            raise disk_full(config.out) from error
         raise YappError(f"{config.out}: {error}") from error
     except YappError as error:
         if tries > 1 and not isinstance(error, CaptureError):

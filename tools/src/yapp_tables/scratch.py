@@ -25,21 +25,14 @@ NAME = re.compile(r"work-(?P<run>\w*)-(?P<host>\w+)-(?P<pid>\d+)-")
 def scratch(parent: str | os.PathLike[str] | None = None, run: str = "") -> Iterator[Path]:
     """Make a folder of this task alone, in parent or where temporary files are. Raises SetupError on a full disk."""
     where = str(parent or tempfile.gettempdir())
+    advice = "" if parent else ", or set TMPDIR to a folder with more"
     try:
         with tempfile.TemporaryDirectory(prefix=f"work-{run}-{HOST}-{os.getpid()}-", dir=where) as folder:
             yield Path(folder)
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise
-        raise disk_full(error.filename or where) from error
-
-
-def disk_full(path: object) -> SetupError:
-    """Return what to raise: the path, and what to do."""
-    what = "free some space there"
-    if Path(str(path)).is_relative_to(tempfile.gettempdir()):
-        what += ", or set TMPDIR to a folder with more"
-    return SetupError(f"the disk is full: {path}; {what}")
+        raise SetupError(f"the disk is full: {error.filename or where}; free some space there{advice}") from error
 
 
 def clean(parent: str | os.PathLike[str] | None = None, run: str = "") -> None:

@@ -17,7 +17,7 @@ from typing import Any
 
 from .errors import CaptureError, SetupError, YappError
 from .install import NOT_AS_ROOT, ask, find_tshark, version_of
-from .scratch import disk_full, scratch
+from .scratch import scratch
 from .undecoded import undecoded
 
 INSTALL_TSHARK = "install Wireshark (Debian, Ubuntu: apt-get install tshark) or name the program with --tshark PATH"
@@ -80,7 +80,7 @@ class Tshark:
     def export(self, capture: Path, folder: Path) -> Export:
         """Write a capture's messages to folder, which is made; one that is there already has them.
 
-        Returns an Export.  Raises SetupError, CaptureError and, for what another try may mend, YappError.
+        Returns an Export.  Raises SetupError, CaptureError, OSError on a full disk and, for what another try may mend, YappError.
         """
         check_file(capture)
         csv, said = folder / "csv", folder / "said.json"
@@ -93,7 +93,7 @@ class Tshark:
             done = _run(self._command(capture, wanted), folder, self._environment())
             said.write_text(json.dumps(vars(done)), encoding="utf-8")
         if os.strerror(errno.ENOSPC) in done.stderr:
-            raise disk_full(folder)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         partial = self._refusal(capture, done, written=(csv / "fields.json").is_file())
         fields: Record = json.loads((csv / "fields.json").read_text(encoding="utf-8"))
         if "plugin" not in fields:
