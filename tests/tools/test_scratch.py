@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What a killed run left is cleaned by the next; a full disk is said with its path and what to do."""
 
+import errno
 import os
 import subprocess
 import sys
 
 import pytest
 import yapp_tables as yt
+from deltalake.exceptions import DeltaError
 from running import FAKE, motor_row
 from yapp_tables import scratch
 
@@ -53,3 +55,17 @@ def test_a_full_disk_of_the_data_set_advises_no_other_folder_for_temporary_files
     capture = make_capture("flight.pcapng", motor=[motor_row(0)], says=says)
     with pytest.raises(yt.SetupError, match=r"the disk is full: .+data.yapp-tables.+; free some space there$"):
         yt.convert_one(capture, yt.Config(str(tmp_path / "data"), tshark=yt.Tshark(program=str(FAKE))), made=None)
+
+
+def test_a_full_disk_of_a_delta_table_is_said_at_once(make_capture, tmp_path, monkeypatch):
+    tries = []
+
+    def write(*_arguments, **_options):
+        tries.append(1)
+        raise DeltaError(f"Generic LocalFileSystem error: {os.strerror(errno.ENOSPC)} (os error 28)")
+
+    monkeypatch.setattr("yapp_tables.delta.write_deltalake", write)
+    config = yt.Config(str(tmp_path / "data"), "delta", yt.Tshark(program=str(FAKE)))
+    with pytest.raises(yt.SetupError, match=r"the disk is full: .+data.yapp-tables; free some space there$"):
+        yt.convert_one(make_capture("flight.pcapng", motor=[motor_row(0)]), config)
+    assert len(tries) == 1

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import random
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -98,6 +100,8 @@ def _again(work: Callable[[], object]) -> None:
         except TableNotFoundError:
             return
         except DeltaError as error:
+            if os.strerror(errno.ENOSPC) in str(error):
+                raise OSError(errno.ENOSPC, str(error)) from error
             if number == TRIES - 1:
                 raise YappError(f"Delta Lake: {error}") from error
             time.sleep(random.uniform(0, 0.2))

@@ -80,7 +80,7 @@ class Tshark:
     def export(self, capture: Path, folder: Path) -> Export:
         """Write a capture's messages to folder, which is made; one that is there already has them.
 
-        Returns an Export.  Raises SetupError, CaptureError, OSError on a full disk and, for what another try may mend, YappError.
+        Returns an Export. Raises SetupError, CaptureError, OSError on a full disk; YappError where another try may do.
         """
         check_file(capture)
         csv, said = folder / "csv", folder / "said.json"
