@@ -236,12 +236,13 @@ def test_a_serial_line_and_its_directions(folder, home):
                for (at, bus), payload in payloads.items()]
     path = folder / "buses.pcap"
     path.write_bytes(pcap(RTAC, packets))
-    told = [(one["kind"], one["frame"], one.get("event")) for one in events(path, *AS_SERIAL)]
+    found = events(path, *AS_SERIAL)
+    told = [(one["kind"], one["frame"], one.get("event")) for one in found]
     assert told == [("fault", 7, "raised"), ("reboot", 12, None), ("fault", 13, "cleared")]
     rows = listed(path, *AS_SERIAL)
     for options in [("-Y", "yapp"), *SECOND_LOOKS]:
         assert listed(path, *AS_SERIAL, *options) == rows
-        assert events(path, *AS_SERIAL, *options) == events(path, *AS_SERIAL)
+        assert events(path, *AS_SERIAL, *options) == found
     assert values(path, *AS_SERIAL) == values(path, *AS_SERIAL, "-2") == values(path, *AS_SERIAL, "-2", "-Y", "yapp")
 
 
@@ -288,9 +289,10 @@ def test_blf_tells_no_buses(blf, folder):
     """What is told is so, and that the buses are not known is said."""
     full = [{**essence(one), "time": None} for one in events(written(folder, turns(), "pcapng"))]
     for options in [(), *SECOND_LOOKS, ("-2", "-R", "yapp")]:
-        found = [{**essence(one), "time": None} for one in events(blf, *options, check=False)]
+        done = tshark.run("-q", "-r", blf, *options, "-z", "yapp,events,json", "-z", "yapp,check,reboot=9,fault=9,incomplete=9",
+                          check=False)
+        found = [{**essence(json.loads(line)), "time": None} for line in done.stdout.splitlines() if line.startswith("{")]
         assert full and found and [one for one in found if one not in full] == [], options
-        done = tshark.run("-q", "-r", blf, *options, "-z", "yapp,check,reboot=9,fault=9,incomplete=9", check=False)
         assert done.returncode == 21, options
     shown = "".join(info for _, info in listed(blf, "-2"))
     assert "reboot" not in shown.lower()
@@ -301,14 +303,16 @@ def test_blf_tells_no_buses(blf, folder):
 CASES = tshark.CAPTURES / "cases"
 
 
-@pytest.mark.parametrize("name, rules", [("b1_custom_block", ""), ("b2_tsoffset", ""),
-                                         ("b3_spb_two_interfaces", ",fault=0,crc=0,incomplete=0,reboot=0")])  # no times
-def test_the_bus_is_the_interface(name, rules):
+@levels.each_once
+@pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two"])
+@pytest.mark.parametrize("case", [("b1_custom_block", ""), ("b2_tsoffset", ""),
+                                  ("b3_spb_two_interfaces", ",fault=0,crc=0,incomplete=0,reboot=0")], ids=lambda case: case[0])  # no times
+def test_the_bus_is_the_interface(case, passes):
+    name, rules = case
     path = CASES / f"{name}.pcapng"
-    for passes in [(), ("-2",)]:
-        rows = tshark.fields(path, ["yapp.bus", "frame.interface_name"], *passes, "-Y", "yapp")
-        assert len(rows) >= 300 and [row for row in rows if row[0] != row[1]] == []
-        assert tshark.run("-q", "-r", path, *passes, "-z", f"yapp,check{rules}").returncode == 0
+    rows = tshark.fields(path, ["yapp.bus", "frame.interface_name"], *passes, "-Y", "yapp")
+    assert len(rows) >= 300 and [row for row in rows if row[0] != row[1]] == []
+    assert tshark.run("-q", "-r", path, *passes, "-z", f"yapp,check{rules}").returncode == 0
 
 
 def block(kind, body, order):
@@ -334,8 +338,10 @@ def one_packet(kind, bus, order, data):
 
 def timed(path):
     """What statistics say of times: time and duration of each event, and the line with the length of the capture."""
-    return ([(pytest.approx(one["time"], abs=1e-6), pytest.approx(one.get("active"), abs=1e-6)) for one in events(path)],
-            tshark.run("-q", "-r", path, "-z", "yapp,summary").stdout.split("\n", 1)[0])
+    lines = tshark.run("-q", "-r", path, "-z", "yapp,events,json", "-z", "yapp,summary").stdout.splitlines()
+    found = [json.loads(line) for line in lines if line.startswith("{")]
+    return ([(pytest.approx(one["time"], abs=1e-6), pytest.approx(one.get("active"), abs=1e-6)) for one in found],
+            next(line for line in lines if line.startswith("YAPP summary")))
 
 
 @pytest.mark.parametrize("kind", [0xBAD, 0x40000BAD])
@@ -347,7 +353,7 @@ def test_time_begins_with_the_first_packet_that_has_one(kind, folder):
     path.write_bytes(file[:head] + block(kind, b"\0\0\1\0custom", "<") + file[head:])
     faults, title = timed(first)
     assert len(faults) >= 4 and re.search(r" in [1-9]\d?\.\d{3} s$", title)
-    assert ([(one["time"], one.get("active")) for one in events(path)], timed(path)[1]) == (faults, title)
+    assert timed(path) == (faults, title)
 
 
 # Bodies of blocks that are no packets of a bus; Wireshark gives the first of them a frame number.

@@ -311,6 +311,7 @@ def test_the_packet_list_says_what_a_tree_says(layout, folder):
     assert [line.split() for line in listed.splitlines()] == [[number, *info.split()] for number, info, _ in shown]
 
 
+@levels.each_once
 @pytest.mark.parametrize("option", [(), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp_all")])
 @pytest.mark.parametrize("layout", levels.few(can_generator.LAYOUTS, ["interfaces", "merged interface"]))
 def test_statistics_without_a_tree_say_what_those_with_one_say(layout, option, folder):

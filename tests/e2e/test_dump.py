@@ -257,22 +257,28 @@ ALTERNATING = [clock + turn / 10 for turn in range(50) for clock in (5, 800)]
 REBOOTED = [turn / 10 for turn in (*range(500, 550), *range(1, 50))]
 
 
-@pytest.mark.parametrize("clocks, kinds, codes", [
-    (ALTERNATING, {"shared"}, {"events": 21, "faults": 21, "summary": 21, "check": 20}),
-    (REBOOTED, {"reboot"}, {"events": 0, "faults": 0, "summary": 0, "check": 20})], ids=["two controllers", "a reboot"])
-def test_clocks(clocks, kinds, codes, folder):
+CLOCKS = {"two controllers": (ALTERNATING, {"shared"}, 21), "a reboot": (REBOOTED, {"reboot"}, 0)}
+
+
+@levels.each_once
+@pytest.mark.parametrize("passes", [[], ["-2"]], ids=["one pass", "two"])
+@pytest.mark.parametrize("name", CLOCKS)
+def test_clocks(name, passes, folder):
     """Times are the controllers' own: two with one ID are found, which explains each step.  A step back of one is no step of
     the capture's clock."""
+    clocks, kinds, code = CLOCKS[name]
     path = dump(folder, b"".join(frame(0x210, bytes(22) + round(clock * 1e9).to_bytes(8, "little") + bytes(2)) for clock in clocks))
-    for passes in ([], ["-2"]):
-        said = tshark.run(*passes, "-q", "-r", path, "-z", "yapp,events,json", check=False).stdout
-        found = [json.loads(line)["kind"] for line in said.splitlines()]
-        assert set(found) == kinds and len(found) <= 5 and found.count("shared") <= 1
-        text = tshark.run(*passes, "-q", "-r", path, "-z", "yapp,faults", check=False).stdout
-        # Frame 2 is the first of the other clock.
-        assert ("its reboots, jumps and silences are left out from frame 2 on" in text) == ("shared" in kinds)
-        for what, code in codes.items():
-            assert tshark.run(*passes, "-q", "-r", path, "-z", f"yapp,{what}", check=False).returncode == code
+
+    def z(what, code):
+        done = tshark.run(*passes, "-q", "-r", path, "-z", f"yapp,{what}", check=False)
+        assert done.returncode == code, what
+        return done.stdout
+
+    found = [json.loads(line)["kind"] for line in z("events,json", code).splitlines()]
+    assert set(found) == kinds and len(found) <= 5 and found.count("shared") <= 1
+    # Frame 2 is the first of the other clock.
+    assert ("its reboots, jumps and silences are left out from frame 2 on" in z("faults", code)) == ("shared" in kinds)
+    assert z("summary", code) and z("check", 20)
 
 
 def test_without_time_stamps(folder):

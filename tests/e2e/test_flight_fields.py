@@ -180,6 +180,7 @@ def differences(truth, rows, passes, knows_all):
                 yield number, name, found, wanted
 
 
+@levels.each_once
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_fields(folder, seed, passes):
@@ -223,6 +224,7 @@ def are_several(messages):
     return sum(count >= 6 for count in counts.values()) > 1
 
 
+@levels.each_once
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_shared_sources(folder, seed, passes):

@@ -343,16 +343,16 @@ let motor = 00*32
 """
 
 
+@levels.each_once
+@pytest.mark.parametrize("passes", ["", " -2"], ids=["one pass", "two"])
 @pytest.mark.parametrize("link", ["pdu", "tcp", "udp"])
-def test_a_stream_that_ends_within_a_frame(folder, home, link):
+def test_a_stream_that_ends_within_a_frame(folder, home, link, passes):
     data = make.pcap(make.Source(STREAM.format(link=link)))
-    for passes in "", " -2":
-        returned, output, _ = z(folder, "events,json", "check,incomplete=0", data=data,
-                                command="tshark -q -r run.pcapng" + passes)
-        events = [json.loads(line) for line in output.splitlines() if line.startswith("{")]
-        found = [(one["kind"], one["frame"], one["id"], one["message"]) for one in events]
-        assert found == [("unfinished", 3, 0x210, "motor")]
-        assert returned == 20 and z(folder, "check,incomplete=1", data=data)[0] == 0
+    returned, output, _ = z(folder, "events,json", "check,incomplete=0", data=data, command="tshark -q -r run.pcapng" + passes)
+    events = [json.loads(line) for line in output.splitlines() if line.startswith("{")]
+    found = [(one["kind"], one["frame"], one["id"], one["message"]) for one in events]
+    assert found == [("unfinished", 3, 0x210, "motor")]
+    assert returned == 20 and z(folder, "check,incomplete=1", data=data)[0] == 0
 
 
 def test_two_passes_and_a_capture_that_is_written(folder):

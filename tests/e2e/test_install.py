@@ -189,7 +189,8 @@ def test_unreadable_catalogue(home):
 @pytest.mark.parametrize("module", ["can/interleaved", "stat/check", "serial/usb", "file/asc", "show/taurus"])
 @pytest.mark.parametrize("is_installed", [True, False])
 @pytest.mark.parametrize("is_missing", [True, False])
-def test_a_module_that_does_not_load(home, module, is_installed, is_missing):
+@pytest.mark.parametrize("statistic", ["summary", "check", "csv,-,motor"])
+def test_a_module_that_does_not_load(home, module, is_installed, is_missing, statistic):
     """Modules load when they are first used: a capture without YAPP needs none of these.  Every statistic says which one
     does not load, needed or not, and ends with 21; a packet list says so if it needs it."""
     clone = tshark.copy_plugin(home / "clone", tshark.ROOT)
@@ -210,9 +211,8 @@ def test_a_module_that_does_not_load(home, module, is_installed, is_missing):
         done = tshark.run(*script(folder), *arguments, plugin=False, env={"HOME": str(home)}, check=False, lua_errors=True)
         return done.returncode, [line for line in done.stderr.splitlines() if not line.startswith("Running as user")]
 
-    for statistic in ["summary", "check", "csv,-,motor"]:
-        code, lines = run("-q", "-r", CAPTURE, "-z", f"yapp,{statistic}")
-        assert code == 21 and any(module in line and "cannot load" in line for line in lines), (code, lines)
+    code, lines = run("-q", "-r", CAPTURE, "-z", f"yapp,{statistic}")
+    assert code == 21 and any(module in line and "cannot load" in line for line in lines), (code, lines)
     code, lines = run("-r", others)
     assert (code, lines) == (0, [])
     code, lines = run("-r", CAPTURE)

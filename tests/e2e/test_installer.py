@@ -761,7 +761,7 @@ def demo(folder, capture, root=tshark.ROOT, **options):
 
 @pytest.mark.parametrize("capture, shown", [
     ("docs/first.pcapng", "motor_overcurrent +raised"),
-    ("docs/flight.pcapng", "motor_overcurrent +raised"),
+    pytest.param("docs/flight.pcapng", "motor_overcurrent +raised", marks=levels.deep),
     ("test_captures/can/document_command.pcap", r"750\.8\d* RPM"),
     (None, "No Taurus message"),
 ])

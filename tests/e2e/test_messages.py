@@ -150,7 +150,7 @@ def test_filters(name):
 
 @levels.by_version
 @pytest.mark.usefixtures("own")
-@pytest.mark.parametrize("name, text, frames", levels.few(FILTERS, list({row[0]: row for row in FILTERS}.values()), several=True),
+@pytest.mark.parametrize("name, text, frames", levels.few(FILTERS, [row for row in FILTERS if row[0] in ("parts", "text")][-4:], several=True),
                          ids=lambda value: value if isinstance(value, str) else "")
 def test_a_filter_alone(name, text, frames):
     """Nothing else is wanted of the tree."""
