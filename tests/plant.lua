@@ -9,7 +9,6 @@ if package.loaded["yapp.plugin"] then return end -- the plugin is there already:
 
 local unpack_all = table.unpack or unpack -- 5.2 has both
 local kind, name = row[1], row[2]
-local is_by_carrier = kind == "carrier" or kind == "file" -- what carries a packet, or its file's reader
 
 local function is_planted(what, title) return kind == what and name == title end
 
@@ -27,7 +26,7 @@ function ProtoField.new(title, filter, field_type, ...)
   local field = new_field(title, filter, field_type, ...)
   list("field", filter)
   local is_value = filter:find("^taurus") and field_type == ftypes.DOUBLE
-  if is_planted("field", filter) or is_by_carrier and is_value then types[field] = field_type end
+  if is_planted("field", filter) or kind == "carrier" and is_value then types[field] = field_type end
   return field
 end
 
@@ -68,7 +67,7 @@ for _, method in ipairs { "add", "add_le" } do
   local add = TreeItem[method]
   TreeItem[method] = function(item, field, ...)
     local field_type = types[field]
-    if not field_type or is_by_carrier and carrier ~= name then return add(item, field, ...) end
+    if not field_type or kind == "carrier" and carrier ~= name then return add(item, field, ...) end
     if field_type == ftypes.NONE then return item end
     return add(item, field, spoil_arguments(field_type, method == "add_le", select("#", ...), ...))
   end
@@ -151,6 +150,25 @@ end
 
 local function literal(text) return (text:gsub("%p", "%%%0")) end
 
+-- Of a table of CSV a column, of whatever message.
+local file_now, places = nil, {} -- places: of the column in the table's lines, by file
+local function spoil_cells(text)
+  local place, count = places[file_now or "printed"], 0
+  if text:find("^time,frame,") then
+    for title in text:gmatch("[^,\n]+") do
+      count = count + 1
+      list("csv", title)
+      if is_planted("csv", title) then places[file_now or "printed"] = count end
+    end
+  elseif place and text:find("^%d+%.%d+,%d+,") then
+    return (text:gsub("([^,\n]*)([,\n])", function(cell, mark)
+      count = count + 1
+      if count == place then return (tonumber(cell) and cell + 1 or cell .. "?") .. mark end
+    end))
+  end
+  return text
+end
+
 -- Of the JSON a key or a kind of event, of the tables a title.
 local function spoil(text)
   if not kind then
@@ -161,7 +179,9 @@ local function spoil(text)
         for title in line:gmatch("(%S+)%s*") do list("column", title) end
       end
     end
-    return text
+    return spoil_cells(text)
+  elseif kind == "csv" then
+    return spoil_cells(text)
   elseif kind == "event" then
     return (text:gsub('("kind":"' .. literal(name) .. ')"', '%1?"'))
   elseif kind == "column" then
@@ -179,14 +199,19 @@ local function spoiled(...)
   return unpack_all(texts)
 end
 
-if kind == "key" or kind == "event" or kind == "column" or not kind then
+if kind == "key" or kind == "event" or kind == "column" or kind == "csv" or not kind then
   local print_all, write, lines = print, io.write, getmetatable(io.stdout).__index
   local write_file = lines.write
-  function _G.print(...) return print_all(spoiled(...)) end
-  function io.write(...) return write(spoiled(...)) end
+  local function printed(...)
+    file_now = nil
+    return spoiled(...)
+  end
+  function _G.print(...) return print_all(printed(...)) end
+  function io.write(...) return write(printed(...)) end
   if type(lines) == "table" then
     lines.write = function(file, ...)
       if file == io.stderr then return write_file(file, ...) end
+      file_now = file
       return write_file(file, spoiled(...))
     end
   end
@@ -194,10 +219,10 @@ end
 
 -- Kinds of source ---------------------------------------------------------------------------------
 
--- What carries a packet, as one dissector is called and its packet says; or the reader of its file.
-local TRANSPORTS = { [2] = "TCP", [3] = "UDP" }
+-- What carries a packet, as one dissector is called and its packet says.
+local TRANSPORTS = { [2] = "TCP", [3] = "UDP", [8] = "USB" }
 local CAN = { yapp = true, yapp_all = true }
-for _, title in ipairs { "CAN", "CAN FD", "TCP", "UDP", "serial" } do list("carrier", title) end
+for _, title in ipairs { "CAN", "CAN FD", "TCP", "UDP", "USB", "serial" } do list("carrier", title) end
 
 -- Have a function stand in for one that is set in objects of a class.
 local function on_set(class, wanted, stand_in)
@@ -207,35 +232,76 @@ local function on_set(class, wanted, stand_in)
   end
 end
 
-if is_by_carrier then
+if kind == "carrier" then
   on_set(getmetatable(Proto("plant", "Plant")), "dissector", function(dissect, proto)
     local is_can = CAN[proto.name:lower()]
     return function(tvb, pinfo, root)
-      if kind == "carrier" then
-        carrier = is_can and (tvb:reported_len() > 8 and "CAN FD" or "CAN") or TRANSPORTS[pinfo.port_type] or "serial"
-      end
+      carrier = is_can and (tvb:reported_len() > 8 and "CAN FD" or "CAN") or TRANSPORTS[pinfo.port_type] or "serial"
       return dissect(tvb, pinfo, root)
     end
   end)
+end
+
+-- Files ------------------------------------------------------------------------------------------
+
+-- Of a record that a reader of ours reads the last byte, or the time: by the form of the text.
+local FORMS = {
+  yapp_asc = { { "hex", "base hex" }, { "dec", "base dec" }, { "FD", "CANFD" }, { "bare", "^%d" } },
+  yapp_dump = { { "bytes", "" } },
+  yapp_candump = {
+    { "log", "^%b() %S+ %x+#%x" }, { "log FD", "^%b() %S+ %x+##" }, { "long", "^%b()  %S+  %x" },
+    { "screen", "^%s*can%d%s+%x+%s+%[8%]%s+%x%x%s" }, { "swapped", "^  can.*%x%x`%x%x`" },
+    { "binary", "^  can.*[01][01][01][01][01][01] " }, { "times", "^ %(%d+%.%d+%)  can" },
+    { "dates", "^ %(%d%d%d%d%-" }, { "direction", "^ .-[TR]X [B-] " }, { "colours", "^ *\27" },
+  },
+}
+FORMS.yapp_candump_auto = FORMS.yapp_candump
+local reader_of = { yapp_candump_auto = "candump" } -- as the rows call them
+
+local function title_of(reader, form)
+  return (reader_of[reader] or reader:gsub("^yapp_", "")) .. " " .. form
 end
 
 local new_handler = FileHandler.new
 local handlers = getmetatable(new_handler("plant", "plant", "plant", "r"))
 local names = {} -- by handler
 function FileHandler.new(title, short, ...)
-  list("file", short)
+  for _, form in ipairs(FORMS[short] or {}) do
+    list("file", title_of(short, form[1]))
+    list("stamp", title_of(short, form[1]))
+  end
   local made = new_handler(title, short, ...)
   names[made] = short
   return made
 end
-if kind == "file" then
+if kind == "file" or kind == "stamp" then
   on_set(handlers, "read_open", function(open, handler)
-    return function(...)
-      local is_open = open(...)
+    return function(file, ...)
+      local text = file:read(200) or ""
+      file:seek("set", 0)
+      local is_open = open(file, ...)
       if is_open then carrier = names[handler] end
+      for _, form in ipairs(is_open and FORMS[carrier] or {}) do
+        if text:find(form[2]) then carrier = title_of(names[handler], form[1]) end
+      end
       return is_open
     end
   end)
+  local function spoil_record(wanted, change)
+    local records = debug.getregistry().FrameInfo
+    local set = records.__newindex
+    function records.__newindex(record, key, value)
+      if key == wanted and carrier == name then value = change(value) end
+      return set(record, key, value)
+    end
+  end
+  if kind == "file" then
+    spoil_record("data", function(data)
+      return data:sub(1, -2) .. string.char((data:byte(-1) + 1) % 256)
+    end)
+  else
+    spoil_record("time", function(time) return NSTime.new(time.secs + 1, time.nsecs) end)
+  end
 end
 
 -- Menus -------------------------------------------------------------------------------------------

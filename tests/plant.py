@@ -34,6 +34,8 @@ import witnesses  # noqa: E402
 CAPTURES = ["tests/e2e/test_captures.py", "-k", "fields_and_info or document_says"]
 EXPERTS = ["tests/e2e/test_experts.py"]
 LIVE = ["tests/e2e/test_live.py", "-k", "test_what or unusual or directions or no_port or document or can_that"]
+FILES = [["tests/e2e/test_candump.py", "-k", "test_form"], ["tests/e2e/test_dump.py", "tests/e2e/test_files.py", "tests/e2e/test_routes.py"],
+         ["tests/e2e/test_candump.py", "tests/e2e/test_fuzz_findings.py", "tests/e2e/test_flight_fields.py"]]
 # The tests that claim to hold a row of a kind, the quick ones first.
 SUITES = {
     "field": [["tests/e2e/test_flight_fields.py"], CAPTURES, ["tests/e2e/test_streams.py", "-k", "situation"],
@@ -49,12 +51,15 @@ SUITES = {
     "key": [["tests/e2e/test_statistics.py"], ["tests/e2e/test_gate.py", "tests/e2e/test_buses.py"]],
     "event": [["tests/e2e/test_statistics.py"], ["tests/e2e/test_gate.py"]],
     "column": [["tests/e2e/test_statistics.py"], ["tests/e2e/test_gate.py", "tests/e2e/test_readme.py"]],
+    "csv": [["tests/e2e/test_statistics.py", "-k", "csv"]],
     "carrier": [CAPTURES, ["tests/e2e/test_streams.py", "-k", "situation or random"]],
-    "file": [["tests/e2e/test_candump.py"], ["tests/e2e/test_files.py", "tests/e2e/test_dump.py"], CAPTURES],
+    "file": FILES,
+    "stamp": FILES,
     "setting": [LIVE],
 }
 STATISTICS = [argument for name in ("summary", "faults", "events", "check,fault=0", "compare") for form in (",json", "")
               for argument in ("-z", f"yapp,{name}{form}")]
+STATISTICS += [argument for message in ("command", "motor", "health") for argument in ("-z", f"yapp,csv,-,{message}")]
 IGNORES = """
 def parse(arguments, whole=parse):
     options = whole(arguments)
@@ -71,7 +76,8 @@ def copy(folder, row):
     tshark.copy_plugin(folder, ROOT)
     plant = f'{{ "{row[0]}", "{row[1]}" }}' if row else "{}"
     script = shutil.copy(ROOT / "tests/plant.lua", folder)
-    (folder / "yapp.lua").write_text(f'assert(loadfile("{script}"))({plant})\n' + (ROOT / "yapp.lua").read_text())
+    for first in ["yapp.lua", *(["yapp/file/readers.lua"] if row and row[0] in ("file", "stamp") else [])]:  # some tests load these alone
+        (folder / first).write_text(f'assert(loadfile("{script}"))({plant})\n' + (ROOT / first).read_text())
     if row and row[0] == "setting":  # of a live port, which is ignored
         shutil.copytree(ROOT / "extcap", folder / "extcap")
         extcap = folder / "extcap/yapp_extcap.py"

@@ -460,16 +460,24 @@ TREE = [
     ("health", 4, "taurus.health.control_thread_cpu", "Control Thread CPU Usage: 50 %"),
     ("health", 4, "taurus.health.vin_rms_ripple", "Vin RMS Ripple: 1.25 V"),
     ("bad_crc_can", 5, "yapp.crc", "CRC: 0xc76fbe44 [incorrect, should be 0xc76fbebb]"),
+    *((name, number, "yapp", f"Yet Another Packet Protocol, {text}") for name, number, text in [
+        ("document_command", 1, "Command, Single"), ("document_motor", 1, "Motor Data, Start of 32 bytes"),
+        ("document_motor", 2, "Motor Data, Middle"), ("document_motor", 5, "Motor Data, End, CRC good"),
+        ("bad_crc_can", 5, "Motor Data, End, CRC BAD"), ("bad_crc_uart", 1, "Motor Data, CRC BAD"),
+        ("cut_end", 5, "Motor Data, End, CRC unverified"), ("cut_start", 5, "Motor Data, End"),
+        ("cut_uart", 1, "Motor Data, incomplete"), ("ctrl_4_to_15", 1, "Motor Data, undefined frame"),
+        ("unknown_id", 1, "ID 0x123, Single"), ("uart_several", 2, "3 bytes skipped"),
+        ("document_tcp_split", 1, "part of a frame"), ("two_interfaces", 9, "Motor Data 0x210 (can0), End, CRC good"),
+    ]),
 ]
 
 
 @pytest.mark.parametrize("name", sorted({row[0] for row in TREE}))
 def test_tree(name):
-    done = tshark.run("-r", make.capture(name)[0], "-T", "pdml")
+    done = tshark.run("-r", make.capture(name)[0], *make.read(name).options, "-T", "pdml")
     packets = xml.etree.ElementTree.fromstring(done.stdout).findall("packet")
     for _, number, field, text in [row for row in TREE if row[0] == name]:
-        names = [one.get("showname") or one.get("show") for one in packets[number - 1].iter("field")
-                 if one.get("name") == field]
+        names = [one.get("showname") or one.get("show") for one in packets[number - 1].iter() if one.get("name") == field]
         assert names == [text]
 
 

@@ -82,6 +82,24 @@ local function in_words(result)
   return text .. (message and message.copy_of and (" (copy of %d)"):format(frame_key.number(message.copy_of)) or "")
 end
 
+-- A record has no field that its constructor does not name: it would be of the record before.
+local function assert_named(result)
+  if not result then return end
+  for record, new in pairs { [result] = records.new_result(), [result.frame] = records.new_can_frame(),
+    [result.message or {}] = records.new_message() } do
+    for key in pairs(record) do lu.assertTrue(new[key] ~= nil or key == "kind" or key == "frame", key) end
+  end
+end
+
+function T.test_a_new_record_says_nothing()
+  for _, record in ipairs { records.new_can_frame(), records.new_message(), records.new_result() } do
+    for key, value in pairs(record) do
+      local nothing = key == "is_bus_known" and true or key == "status" and "good" or false
+      lu.assertTrue(value == nothing or value == 0 or value == "", key)
+    end
+  end
+end
+
 -- Add a CAN frame, or recall it.
 -- with  { number, time, visited, bus, is_bus_known, accepts_all, reported, is_only_pass }; by default it is the next
 --       packet, 1 ms behind the one before
@@ -97,7 +115,9 @@ local function visit(capture, one, with)
     frame[name] = with[name] or false
   end
   frame.is_bus_known = with.is_bus_known ~= false
-  return capture.reading:read_frame(frame)
+  local result = capture.reading:read_frame(frame)
+  assert_named(result)
+  return result
 end
 
 -- Add frames; return what the last one is, in words.
@@ -270,7 +290,10 @@ end
 
 local function results_in_words(contents)
   local list = {}
-  for i, result in ipairs(contents and contents.results or {}) do list[i] = in_words(result) end
+  for i, result in ipairs(contents and contents.results or {}) do
+    list[i] = in_words(result)
+    assert_named(result)
+  end
   if contents and contents.pending > 0 then list[#list + 1] = ("%d pending"):format(contents.pending) end
   return table.concat(list, ", ")
 end

@@ -9,7 +9,7 @@ local M = {}
 local sub = string.sub
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 
--- List the errors of a frame, but for its CRC; false for none.
+-- List the errors of a frame, but for its CRC.
 local function anomalies_of(transfer)
   local list, missing = {}, transfer.missing
   if missing then
@@ -23,7 +23,7 @@ local function anomalies_of(transfer)
     local text = "The reserved bytes are 0x%04x, not 0"
     list[#list + 1] = { expert = "reserved.nonzero", text = text:format(transfer.reserved) }
   end
-  return list[1] and list or false
+  return list
 end
 
 --- Make the transfer of a finding.
