@@ -123,7 +123,8 @@ function T.test_an_adapter()
   local lines, endpoint = new_lines(), { name = "1.2.3 in", opposite = "1.2.3 out", device = "1.2" }
   local line = lines:of_adapter(endpoint)
   lu.assertEquals({ line.key, line.opposite, line.bus_key, line.trial_key, line.tag, line.bus, line.label,
-    line.has_address, line.is_ip }, { "1.2.3 in", "1.2.3 out", "1.2", "1.2.3 in", "1.2.3 in", "1.2.3 in", "1.2.3 in", true, false })
+    line.has_address, line.is_ip }, { "1.2.3 in", "1.2.3 out", "1.2", "1.2.3 in", "1.2.3 in",
+    "1.2.3 in", "1.2.3 in", true, false })
   lu.assertIs(lines:of_adapter(endpoint), line)
 end
 
