@@ -7,6 +7,7 @@ import re
 import shutil
 
 import pytest
+import make
 import tshark
 
 PROFILE = tshark.ROOT / "profiles/YAPP"
@@ -179,16 +180,23 @@ def test_several_controllers_are_no_average_and_no_zigzag():
     assert {row[5] for row in uat("plots")} == {"Dot", "Plus"}
 
 
-@pytest.mark.parametrize("capture, rule", [
-    ("can/bad_crc_can.pcap", "YAPP bad CRC"), ("can/lost_middle.pcap", "YAPP incomplete or stray"),
-    ("can/end_without_start.pcap", "YAPP incomplete or stray"), ("can/middle_without_start.pcap", "YAPP incomplete or stray"),
-    ("can/unknown_id.pcap", "YAPP not decoded"), ("can/document_motor.pcap", "YAPP fragment"),
-    ("can/invalid_key.pcap", "YAPP command ignored"), ("can/fault_flags.pcap", "YAPP fault raised"),
-])
-def test_colours(home, capture, rule):
-    done = run(home, "--color", "-r", tshark.CAPTURES / capture, "-T", "fields", "-e", "frame.coloring_rule.name")
+COLOURED = {"bad_crc_can": "YAPP bad CRC", "lost_middle": "YAPP incomplete or stray",
+            "end_without_start": "YAPP incomplete or stray", "middle_without_start": "YAPP incomplete or stray",
+            "unknown_id": "YAPP not decoded", "document_motor": "YAPP fragment", "invalid_key": "YAPP command ignored",
+            "fault_flags": "YAPP fault raised"}
+
+
+def test_colours(home, folder):
+    """Of all captures in one file, each from an interface of its own."""
+    sources = [make.read(name) for name in COLOURED]
+    (folder / "all.pcapng").write_bytes(make.pcapng(*sources))
+    done = run(home, "--color", "-r", folder / "all.pcapng", "-T", "fields", "-e", "frame.coloring_rule.name")
     assert "Could not compile" not in done.stderr
-    assert rule in done.stdout.splitlines()
+    rows = done.stdout.splitlines()
+    for rule, source in zip(COLOURED.values(), sources):
+        assert rule in rows[:len(source.packets)], rule
+        del rows[:len(source.packets)]
+    assert rows == []
 
 
 def test_what_is_well_has_no_colour(home):

@@ -28,7 +28,11 @@ def test_a_preference_that_cannot_be_read(what):
     done = tshark.run("-q", "-r", CLEAN, "-o", "yapp.late:often", "-z", f"yapp,{what}", check=False)
     assert done.returncode == 21 and told(done, what, 'yapp.late: no number above 0 in "often"')
     assert done.stderr.count("yapp.late") == 1
-    assert tshark.run("-q", "-r", CLEAN, "-z", f"yapp,{what}", check=False).returncode == 0
+
+
+def test_nothing_is_wrong_without_it():
+    taps = [argument for what in FORMS for argument in ("-z", f"yapp,{what}")]
+    assert tshark.run("-q", "-r", CLEAN, *taps, check=False).returncode == 0
 
 
 @pytest.mark.parametrize("options, said", [

@@ -2,7 +2,7 @@
 -- Files of messages: the user's after the plugin's; what is wrong with one of them does not take the others along.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local cpu = require("cpu")
+local cpu, levels = require("cpu"), require("levels")
 local files = require("yapp.message.catalogue_files")
 
 local T = {}
@@ -130,7 +130,7 @@ function T.test_a_list_without_an_end()
       local names, problems = load("return {" .. entry("a", 1) .. "}", list)
       lu.assertStrContains(names, "a 1 uint8")
       lu.assertTrue(#problems <= 20, text)
-    end, 25000), text)
+    end, levels.size(8000, 25000)), text)
   end
 end
 
