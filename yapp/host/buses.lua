@@ -9,7 +9,6 @@
 local capture = require "yapp.host.capture"
 local file_readers = require "yapp.file.readers"
 local socketcan = require "yapp.host.socketcan"
-local stamps = require "yapp.host.stamps"
 
 local M = {}
 
@@ -68,7 +67,6 @@ function M.watch()
       return bytes
     end
     self.seen = capture.read(head, more)
-    self.seen_stamps_differ = stamps.differ(head)
     self.is_short = #head < capture.HEAD
     self.is_long_pipe = not (self.is_short or is_file)
     self.is_damaged = why ~= nil -- as a compressed file that was cut off
@@ -144,7 +142,6 @@ end
 function Buses:init()
   local found = self.seen
   self.found = found
-  self.found_stamps_differ = self.seen_stamps_differ
   self.plain_bus = file_readers.log().plain_bus
   self.time_name, self.start = clock_of(found)
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
@@ -206,7 +203,7 @@ end
 
 --- Whether the first packets of the file have different time stamps: then these mean something.
 function Buses:stamps_differ()
-  return self.found_stamps_differ or file_readers.log().stamps_differ or false
+  return self.found.stamps_differ or file_readers.log().stamps_differ or false
 end
 
 --- Return the seconds from the first time stamp of the capture to the current packet.

@@ -160,6 +160,13 @@ local function bus_number(self, interface, index)
   return number
 end
 
+-- Note a time stamp.  A recorder without a clock gives all packets one stamp.
+-- of  its interface, or file: others may begin at another time
+local function note_stamp(self, of, seconds)
+  of.stamp = of.stamp or seconds
+  if seconds ~= of.stamp then self.stamps_differ = true end
+end
+
 -- Keep the bus of the latest packet, and when it was captured.
 -- offset   of its data
 -- seconds  since 1970
@@ -218,6 +225,7 @@ local function new_interface(self, linktype, name)
     buses = {}, -- by index
     bus = nil, -- of its packets, 0 if they carry no YAPP; nil if each tells it
     direction = nil, -- of a serial line: the first one that came; that is `bus`
+    stamp = nil, -- that of its first packet
     dropped = 0, -- packets, as the statistics say
     accounted = 0, -- dropped packets, as options of packets say
   }
@@ -310,7 +318,7 @@ end
 local function read_packet(self, window, offset, length, kind)
   self.count = self.count + 1
   local is_wanted = self.keeps or self.has_serial or window.may_have_drops or self.start == NEXT
-  if not is_wanted then return end -- the usual case
+  if not is_wanted and self.stamps_differ then return end -- the usual case
   if length < 32 then return true end
   local number, high, low = three_numbers(window, offset + 8)
   if kind == OBSOLETE then number = window:number(offset + 8, 2) end
@@ -318,6 +326,7 @@ local function read_packet(self, window, offset, length, kind)
   if not interface then return self.keeps end
   local seconds = seconds_of(interface, high, low)
   if self.start == NEXT then self.start = seconds end
+  note_stamp(self, interface, seconds)
   if kind == ENHANCED then
     read_enhanced(self, window, offset, length, interface, seconds)
   elseif self.keeps then
@@ -400,23 +409,31 @@ end
 
 -- pcap --------------------------------------------------------------------------------------------
 
+-- Return the interface of pcap, nil if no packet tells its bus.
+local function pcap_interface(self, linktype)
+  self.linktypes[linktype] = true
+  if linktype ~= COOKED_2 and linktype ~= RTAC then return nil end
+  self.yapp_interfaces = 1
+  return new_interface(self, linktype)
+end
+
 local function read_pcap(self, window, is_little, fractions)
   window.is_little = is_little
   if not window:has(0, 24) then return end
   local linktype = window:number(20, 4) % 0x10000 -- above it: the length of check sequences
-  self.linktypes[linktype] = true
+  local interface, offset = pcap_interface(self, linktype), 24
   self.offset = linktype == SOCKETCAN and 8 or nil
   self.has_packets = window:has(24, 16)
-  if linktype ~= COOKED_2 and linktype ~= RTAC then return end
-  local interface = new_interface(self, linktype)
-  self.yapp_interfaces = 1
-  local offset = 24
-  while window:has(offset, 16) do
+  while offset + 16 <= window.stop or interface and window:has(offset, 16) do
     local seconds, fraction, length = three_numbers(window, offset)
-    if length > MAX_BLOCK then break end
-    self.count = self.count + 1
-    window:has(offset, 32)
-    keep_bus(self, window, interface, offset + 16, seconds + fraction / fractions)
+    local time = seconds + fraction / fractions
+    note_stamp(self, self, time)
+    if length > MAX_BLOCK or self.stamps_differ and not interface then break end
+    if interface then
+      self.count = self.count + 1
+      window:has(offset, 32)
+      keep_bus(self, window, interface, offset + 16, time)
+    end
     offset = offset + 16 + length
   end
 end
@@ -524,6 +541,8 @@ local function new_capture()
     is_taken = {}, -- by name
     drops = {},
     lacks_times = false,
+    stamps_differ = false,
+    stamp = nil, -- of the first packet of pcap
     start = false,
     has_packets = false,
     is_unknown = false,
@@ -548,6 +567,7 @@ end
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
 --   lacks_times   whether packets have no time stamps
+--   stamps_differ whether two of the packets that were read have different ones
 --   start         if the first packet has no time stamp: that of the next one, seconds since 1970
 --   offset        of the CAN frame's data in each packet; nil where it is not always the same
 --   head          its first bytes, if it has packets and these may have YAPP frames, in TCP, UDP or
