@@ -16,12 +16,8 @@ if loaded then
   io.stderr:write(text:format(here, VERSION, loaded.path, loaded.version), "\n")
   return loaded
 end
--- An installed plugin has all modules in this file (package.preload); a clone has them in a folder.
-if not package.preload["yapp.wire.crc"] and here:find(Dir.personal_plugins_path(), 1, true) then
-  local text = "yapp: %s is a clone in a plugin folder, where Wireshark runs every file: " ..
-    "move it elsewhere, and run make install or tools/install.py there\n"
-  io.stderr:write(text:format(here))
-end
+local say_clone = package.loaded["yapp.base.alone"] -- Wireshark ran it: it says so again at the end
+if say_clone then say_clone() end
 set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
   description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }
 

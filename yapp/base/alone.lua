@@ -11,4 +11,4 @@ local function say()
 end
 
 if not package.loaded["yapp.base.alone"] then say() end
-package.loaded["yapp.base.alone"] = true
+package.loaded["yapp.base.alone"] = say
