@@ -13,9 +13,14 @@ from running import FAKE, motor_row
 from yapp_tables import scratch
 
 
-def test_a_killed_run_is_cleaned_by_the_next_and_one_that_lives_is_not(tmp_path):
+def dead_pid():
+    """The number of a process that has ended."""
     dead = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
-    names = {int(dead.stdout): False, os.getpid(): True}
+    return int(dead.stdout)
+
+
+def test_a_killed_run_is_cleaned_by_the_next_and_one_that_lives_is_not(tmp_path):
+    names = {dead_pid(): False, os.getpid(): True}
     for pid in names:
         (tmp_path / f"work-abc-{scratch.HOST}-{pid}-xyz").mkdir()
     old = tmp_path / f"work-abc-another_{scratch.HOST}-1-xyz"
@@ -31,6 +36,15 @@ def test_a_killed_run_is_cleaned_by_the_next_and_one_that_lives_is_not(tmp_path)
     assert (tmp_path / "work-of-mine").exists()
     scratch.clean(tmp_path, "abc")
     assert [path.name for path in tmp_path.iterdir()] == ["work-of-mine"]
+
+
+def test_what_a_killed_reading_left_is_cleaned_by_the_next(make_capture, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    capture = make_capture("flight.pcapng", motor=[motor_row(0)])
+    left = tmp_path / f"work--{scratch.HOST}-{dead_pid()}-xyz"
+    left.mkdir()
+    yt.read(capture, tshark=FAKE)
+    assert not left.exists()
 
 
 def test_a_full_disk_is_a_path_and_what_to_do(make_capture, monkeypatch):

@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 from .errors import SetupError
@@ -25,6 +26,8 @@ NAME = re.compile(r"work-(?P<run>\w*)-(?P<host>\w+)-(?P<pid>\d+)-")
 def scratch(parent: str | os.PathLike[str] | None = None, run: str = "") -> Iterator[Path]:
     """Make a folder of this task alone, in parent or where temporary files are. Raises SetupError on a full disk."""
     where = str(parent or tempfile.gettempdir())
+    if not parent:
+        _clean_once(where)
     advice = "" if parent else ", or set TMPDIR to a folder with more"
     try:
         with tempfile.TemporaryDirectory(prefix=f"work-{run}-{HOST}-{os.getpid()}-", dir=where) as folder:
@@ -41,6 +44,11 @@ def clean(parent: str | os.PathLike[str] | None = None, run: str = "") -> None:
         match = NAME.match(folder.name)
         if match and ((run and match["run"] == run) or _is_dead(match, folder)):
             shutil.rmtree(folder, ignore_errors=True)
+
+
+@cache
+def _clean_once(where: str) -> None:
+    clean(where)
 
 
 def _is_dead(match: re.Match[str], folder: Path) -> bool:
