@@ -287,12 +287,16 @@ function T.test_whether_stamps_differ()
     lu.assertTrue(of(first, packet(1, "a", number, 7), later))
     lu.assertEquals({ of(first, later:sub(1, -2)), of(first, later, later:sub(1, 20)) }, { false, true })
     lu.assertFalse(of(first, ("\0"):rep(40)))
+    local long = packet(0, ("a"):rep(70000 + 2 ^ 17), number, 2 ^ 33)
+    local empty, padded = number(9, 4) .. number(12, 4) .. number(12, 4), number(9, 4) .. number(13, 4) .. ("\0"):rep(8)
+    lu.assertTrue(of(long, empty, padded, later))
   end
   for magic, number in pairs { ["\212\195\178\161"] = le, ["\77\60\178\161"] = le, ["\161\178\195\212"] = be,
     ["\161\178\60\77"] = be } do
     local file = pcap(CAN, { "abc", "d" }, number, magic) -- at 1.25 and 2.25 s
     lu.assertTrue(do_stamps_differ(file))
     lu.assertFalse(do_stamps_differ(file:sub(1, #file - 2)))
+    lu.assertTrue(do_stamps_differ(pcap(CAN, { ("abc"):rep(70000), "d" }, number, magic)))
     lu.assertFalse(do_stamps_differ(pcap(CAN, { "abc" }, number, magic)))
     lu.assertFalse(do_stamps_differ(file:sub(1, 43) .. file:sub(25, 43)))
   end

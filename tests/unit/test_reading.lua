@@ -183,13 +183,30 @@ function T.test_messages_on_can()
   lu.assertEquals(in_words(single), "single good Command")
   lu.assertEquals({ single.message.seq, single.message.size, single.message.key, single.transfer.status },
     { 7, 7, frame_key.PACKET + 16, "good" })
+  lu.assertEquals({ single.index, single.is_usual }, { false, false }) -- its key is none
   local list, kinds = frames_of(MOTOR, 9, payload_of(MOTOR, 3)), {}
-  for i, one in ipairs(list) do kinds[i] = in_words(visit(capture, one)) end
+  for i, one in ipairs(list) do
+    local result = visit(capture, one)
+    kinds[i] = in_words(result)
+    lu.assertTrue(result.is_usual)
+  end
   lu.assertEquals(kinds, { "fragment", "fragment", "fragment", "fragment", "last good Motor Data" })
   lu.assertEquals(add_all(capture, frames_of(MOTOR, 10, payload_of(MOTOR, 4), { wrong = true })), "last bad Motor Data")
   lu.assertEquals(add_all(capture, frames_of(0x123, 0, payload_of(0x123, 1))), "last good ID 0x123")
   lu.assertEquals(capture.events, { "message Command @1", "message Motor Data @6", "crc Motor Data @11",
     "message ID 0x123 @15" })
+end
+
+-- A frame needs an expert item if its message does, if a part of it is missing, or if something is wrong with it.
+function T.test_what_is_usual()
+  local capture, list = new_capture(), frames_of(MOTOR, 1, payload_of(MOTOR, 1))
+  lu.assertTrue(visit(capture, { words.can_id(COMMAND, 0, 0, 1), "\1\165\0\0\0\0\0" }).is_usual)
+  lu.assertTrue(visit(capture, list[1]).is_usual)
+  lu.assertFalse(visit(capture, { list[2][1], list[2][2]:sub(1, 5) }, { reported = 8 }).is_usual)
+  lu.assertFalse(visit(capture, list[5]).is_usual) -- incomplete
+  lu.assertFalse(visit(capture, list[3]).is_usual) -- an orphan
+  list = frames_of(MOTOR, 2, payload_of(MOTOR, 1), { wrong = true })
+  for i, one in ipairs(list) do lu.assertEquals(visit(capture, one).is_usual, i < 5) end
 end
 
 -- A revisit draws the same, and tells the fragments of their message; statistics hear of it again.
@@ -310,6 +327,8 @@ function T.test_undissected_frames()
   report(words.can_id(COMMAND, 0, 3, 9), "\1\165" .. ("\0"):rep(5))
   report(words.can_id(0x322, 2, 0, 9), "12345678")
   report(words.can_id(0x323, 1, 0, 9), words.start(0x323, ("x"):rep(50))) -- no message of the catalogue has its size
+  report(words.can_id(0x321, 0, 0, 9), ("x"):rep(8)) -- as long as no message
+  report(words.can_id(0x321, 1, 0, 9), words.start(0x321, ("x"):rep(8))) -- it would be a single frame
   lu.assertEquals(capture.events, { "undissected ID 0x321 @1", "undissected Command @2" })
 end
 
@@ -354,11 +373,16 @@ function T.test_a_serial_line()
   local capture = new_capture()
   lu.assertEquals(results_in_words(visit_packet(capture, 0, "noise" .. MOTOR_FRAME .. MOTOR_FRAME:sub(1, 20))),
     "skipped 5, single good Motor Data, 20 pending")
-  lu.assertEquals(results_in_words(visit_packet(capture, 0, MOTOR_FRAME:sub(21) .. BAD_FRAME)),
-    "single good Motor Data, single bad Motor Data")
+  local contents = visit_packet(capture, 0, MOTOR_FRAME:sub(21) .. BAD_FRAME)
+  lu.assertEquals(results_in_words(contents), "single good Motor Data, single bad Motor Data")
+  for i, result in ipairs(contents.results) do -- no two findings have one key
+    lu.assertEquals(result.message.key, 2 * frame_key.PACKET + 42 + i - 1)
+  end
   lu.assertEquals(results_in_words(
     visit_packet(capture, 0, "noise" .. MOTOR_FRAME .. MOTOR_FRAME:sub(1, 20), { number = 1, visited = true })),
     "skipped 5, single good Motor Data, 20 pending")
+  lu.assertEquals(results_in_words(visit_packet(capture, 0, HEALTH_FRAME .. "bytes" .. BAD_FRAME)),
+    "single good Health, skipped 5, single bad Motor Data (copy of 2)")
   lu.assertEquals({ capture.events[1], capture.events[2], capture.events[4] },
     { "skipped line @1", "message Motor Data @1", "crc Motor Data @2" })
 end
@@ -369,6 +393,17 @@ function T.test_datagrams_and_tcp()
     local text = results_in_words(visit_packet(capture, kind, MOTOR_FRAME .. HEALTH_FRAME, { seq = 100 }))
     lu.assertEquals(text, "single good Motor Data, single good Health")
     lu.assertEquals(#capture.events, 2)
+  end
+end
+
+-- A conversation counts as read once the first frame that the file has of it was.
+function T.test_a_conversation_that_is_awaited()
+  local one = { is_tcp = true, from = "10.0.0.1:5000", to = "10.0.0.2:14550", payload = payload_of(MOTOR, 1) }
+  for bytes, count in pairs { [MOTOR_FRAME] = 0, [HEALTH_FRAME] = 1 } do
+    local capture = new_capture()
+    capture.reading.lines:await { one }
+    visit_packet(capture, lines.TCP, bytes, { seq = 100 })
+    lu.assertEquals(#capture.reading.lines:unread { one }, count)
   end
 end
 
@@ -390,6 +425,8 @@ function T.test_what_is_yapp()
   lu.assertTrue(reading:is_yapp("noise" .. MOTOR_FRAME))
   lu.assertTrue(reading:is_yapp(BAD_FRAME)) -- the catalogue has its ID and size
   lu.assertFalse(reading:is_yapp("YP is not enough, nor are these bytes"))
+  local unknown = generator.frame(0x123, payload_of(0x123, 1))
+  lu.assertEquals({ reading:is_yapp(unknown), reading:is_yapp(unknown:sub(1, -2) .. "?") }, { true, false })
   lu.assertFalse(reading:is_yapp(""))
   lu.assertTrue(reading:may_be_yapp(MOTOR_FRAME:sub(1, 12)))
   lu.assertFalse(reading:may_be_yapp(("x"):rep(200)))
@@ -438,6 +475,7 @@ function T.test_the_end_twice()
   end
   local first = ending()
   lu.assertTrue(#first > 0)
+  lu.assertEquals(#capture.reading:drops(), 1)
   lu.assertEquals(ending(), first)
 end
 

@@ -60,6 +60,7 @@ function T.test_damaged_messages()
     list[key] = copies:find(message, true) or "-"
   end
   lu.assertEquals(list, { "-", "-", 2, "-", 1 })
+  lu.assertNil(next(copies.originals)) -- nobody asks again
 end
 
 -- A read filter (-R) drops a copy; the next packet has its number, and is none.
@@ -99,6 +100,18 @@ function T.test_a_fast_source()
     expected[2 * i - 1], expected[2 * i] = "-", 2 * i - 1
   end
   lu.assertEquals(found(rows), expected)
+end
+
+-- Of 17 the first one is forgotten, of 18 the second one, too.
+function T.test_the_oldest_is_forgotten()
+  for count, expected in pairs { [16] = { 1, 2, 3, 16 }, [17] = { "-", 2, 3, 17 }, [18] = { "-", "-", 3, 18 } } do
+    local rows = {}
+    for i = 1, count do rows[i] = { i / 10000, "m" .. i } end
+    for i, name in ipairs { "m1", "m2", "m3", "m" .. count } do
+      rows[count + 1] = { 0.002, name }
+      lu.assertEquals(found(rows)[count + 1], expected[i], count .. name)
+    end
+  end
 end
 
 -- Without times of packets, all messages come at once; so do they until the time advances.

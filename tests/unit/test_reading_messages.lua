@@ -105,6 +105,16 @@ function T.test_a_shorter_payload()
   lu.assertEquals(found, { "29 bytes -", "30 read -", "31 read -", "32 read -", "33 read 1" })
 end
 
+-- A usual message needs no expert item.
+function T.test_what_is_usual()
+  for _, row in ipairs { { true, HEALTH }, { false, MOTOR, { [at(MOTOR, "fault_flags")] = 1 } },
+    { false, MOTOR, {}, { size = 36 } }, { false, HEALTH, {}, { status = "bad" } },
+    { false, HEALTH, {}, { id = 0x123 } },
+    { false, HEALTH, {}, { copy_of = 5 } }, { false, HEALTH, {}, { answer = { add = { late = 1 }, delta = 1 } } } } do
+    lu.assertEquals(read(row[2], row[3], row[4]).is_usual, row[1])
+  end
+end
+
 function T.test_what_the_history_is_asked()
   local m, asked = read(HEALTH, {}, { answer = { add = { reboot = 3 }, delta = 0.5 }, wants_state = true })
   lu.assertEquals({ m.change, m.delta, m.state, asked }, { { reboot = 3 }, 0.5, false, "add state" })

@@ -47,7 +47,7 @@ function T.test_new_ports_in_a_live_capture()
   lu.assertEquals(name_after(numbers(1, 15)), V4 .. ":15") -- so many controllers may be behind it
   lu.assertEquals(name_after(numbers(1, 16)), V4)
   local at_once = {}
-  for i = 1, 16 do at_once[i] = i / 1000 end
+  for i = 1, 16 do at_once[i] = 100 + i / 1000 end
   lu.assertEquals(name_after(numbers(1, 16), at_once), V4 .. ":16") -- 16 controllers that begin
   lu.assertEquals(name_after { 5 }, V4 .. ":5")
   local two = {}
@@ -73,12 +73,13 @@ function T.test_new_ports_in_the_first_bytes_of_a_file()
   local fe80, all = "\254\128" .. ("\0"):rep(13) .. "\1", "\32\1\13\184" .. ("\0\1"):rep(6)
   for make, address in pairs {
     [ipv4] = V4,
+    [function(port) return ipv6(port, "\0\1" .. ("\0"):rep(7) .. "\5\0\6\0\7\0\8") end] = "1::5:6:7:8",
     [function(port) return ipv6(port, fe80) end] = V6,
     [function(port) return ipv6(port, all) end] = "2001:db8:1:1:1:1:1:1",
   } do
     for _, row in ipairs { -- ports, and whether they change
       { { 5, 6, 7, 9 }, true }, { { 5, 6, 7 }, false }, { { 5, 6, 7, 9, 5 }, false },
-      { { 5, 5, 6, 6, 7, 7, 9, 9 }, true },
+      { { 5, 5, 6, 6, 7, 7, 9, 9 }, true }, { { 5, 5, 5, 5, 6, 6, 6, 6, 7, 9 }, true },
       { { 5, 5, 5, 5, 5, 5, 6, 6, 6, 6, 6, 6, 7, 9 }, false }, { {}, false },
       -- A port that was picked by chance came back.
       { { 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 12, 21, 22, 23, 24, 25, 26, 27 }, true },
@@ -113,6 +114,7 @@ function T.test_options()
   lu.assertEquals(options_of(tcp("\15\161\195\80", "") .. tcp("\195\80\15\162", ("\1"):rep(12))),
     { "-d tcp.port==4001,yapp_serial", "-d tcp.port==4002,yapp_serial" })
   lu.assertEquals(options_of("any" .. FRAME), {})
+  lu.assertEquals(#senders.conversations(ipv4(40000) .. ipv4(40000) .. ipv4(40001)), 2)
   lu.assertEquals(senders.conversations(ipv4(40000))[1].payload, FRAME:sub(13, -5))
   local cut = ipv4(40000):gsub("\0\56\0\0YP", "\0\55\0\0YP") -- a frame that ends in another datagram
   lu.assertNil(senders.conversations(cut)[1].payload)
@@ -122,7 +124,8 @@ function T.test_options()
   end
   lu.assertEquals(options_of(before("\0\52", "\80")), { "-d tcp.port==0,yapp_serial" })
   lu.assertEquals(options_of(before("\0\52", "\70")), {})
-  lu.assertEquals(options_of(before("\199\52", "\80")), {})
+  lu.assertEquals(#options_of(before("\36\0", "\80")), 1)
+  for _, length in ipairs { "\36\1", "\199\52" } do lu.assertEquals(options_of(before(length, "\80")), {}) end
 end
 
 return T

@@ -62,6 +62,17 @@ function T.test_bytes_of_a_line()
   end)
 end
 
+function T.test_the_other_direction()
+  each_kind(function(kind, make)
+    local self = usb.new()
+    for endpoint, name in pairs { [0x81] = "rx", [0x01] = "tx" } do
+      local line = self:read(kind, make(BULK, endpoint, "abc")).line
+      local other = name == "rx" and "tx" or "rx"
+      lu.assertEquals({ line.name, line.opposite }, { "usb1.6.1#" .. name, "usb1.6.1#" .. other })
+    end
+  end)
+end
+
 -- What a transfer asks for has no data, whatever its length says.
 function T.test_what_is_only_asked_for()
   for _, kind in ipairs { "usbmon", "usbmon_mapped" } do
@@ -87,7 +98,9 @@ function T.test_status_of_ftdi()
     local device, endpoint = descriptors(0x0403, 512)
     for _, row in ipairs {
       { { device, endpoint }, 512, "\2" }, { { descriptors(0x0403, 64) }, 64, "\1" },
-      { { descriptors(0x0403, 64) }, 64, "\241" },
+      { { descriptors(0x0403, 64) }, 64, "\241" }, { { descriptors(0x0403, 64) }, 64, "\2" },
+      { { descriptors(0x0403, 64) }, 64, "\0" }, { { descriptors(0x0403, 512 + 0x800) }, 512, "\2" },
+      { { make(CONTROL, 0x80, "\18\3" .. ("x"):rep(16)) }, 64, "\1" }, -- a text of 18 bytes is no device
       { {}, 64, "\1" }, { {}, 512, "\50" }, { { device }, 512, "\2" }, -- the status says it
     } do
       local packets = row[1]
@@ -107,6 +120,7 @@ function T.test_bytes_that_look_like_a_status()
   each_kind(function(kind, make)
     lu.assertEquals(lines_of(kind, { make(CONTROL, 0x80, device_descriptor(0x10C4)), make(BULK, 0x81, "\1\96abc") }),
       { "nothing", "usb1.6.1#rx \1\96abc" })
+    lu.assertEquals(lines_of(kind, { make(BULK, 0x81, "\1\128abc") }), { "usb1.6.1#rx \1\128abc" })
     lu.assertEquals(lines_of(kind, { make(BULK, 0x81, "YP1"), make(BULK, 0x81, "\1\96abc"), make(BULK, 0x81, "\1") }),
       { "usb1.6.1#rx YP1", "usb1.6.1#rx \1\96abc", "usb1.6.1#rx \1" })
   end)
