@@ -27,7 +27,8 @@ def calls(folder, *arguments):
     if not log.exists() or not log.stat().st_size:
         pytest.skip(f"strace is not allowed here: {done.stderr}")
     assert done.returncode == 0, done.stderr
-    return log.read_text()
+    # Bytes beyond ASCII, such as those of a path with an umlaut, are printed as octal numbers.
+    return re.sub(rb"\\([0-7]{1,3})", lambda octal: bytes([int(octal[1], 8)]), log.read_bytes()).decode("utf-8", "replace")
 
 
 def test_files_and_connections(folder):
