@@ -237,6 +237,7 @@ def test_csv_alone(results, seed, form, passes):
     _, table, capture = results(seed, form, passes)
     alone = table.with_name(f"{table.name}.alone")
     statistics(flight_of(seed), form, capture, f"csv,{alone},json", passes=PASSES[passes])
+    assert {path.name for path in table.iterdir()} >= {"motor.csv", "health.csv", "command.csv"}
     for path in table.iterdir():
         assert (alone / path.name).read_text() == path.read_text()
 
