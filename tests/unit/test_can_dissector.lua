@@ -316,7 +316,9 @@ function T.test_a_frame_is_read()
   lu.assertEquals({ seen.frame.wants_state, seen.frame.is_only_pass }, { "state", "only" })
   lu.assertIs(seen.frame.can_id, fields)
   lu.assertEquals(seen.calls, {}, "nothing is to be shown")
-  lu.assertEquals(frames:dissect(buffer("", 0), packet(4), nil, MOTOR, false), 0)
+  seen.frame = nil
+  lu.assertEquals({ frames:dissect(buffer("", 0), packet(4), nil, MOTOR, false), seen.frame }, { 0 }, "it has no data")
+  lu.assertEquals(frames:dissect(buffer("", 1), packet(4), nil, MOTOR, false), 1)
   lu.assertEquals({ frames:dissect(buffer("\9"), packet(4), nil, MOTOR, false), seen.frame.data }, { 1, "\9" })
   lu.assertEquals(frames:dissect(buffer("", 8), packet(4), nil, MOTOR, false), 8)
   lu.assertEquals({ seen.frame.data, seen.frame.reported }, { "", 8 })
@@ -331,6 +333,9 @@ function T.test_what_the_capture_says_of_a_frame()
   frames:dissect(buffer(DATA, nil, 8), packet(3, { abs_ts = 100 }), nil, MOTOR, true)
   lu.assertEquals({ seen.frame.key, seen.frame.bus, seen.frame.is_bus_known, seen.frame.time, seen.frame.accepts_all },
     { 3 * frame_key.PACKET + 40, "bus 3 40", "is known", 99, true })
+  parts.buses.of = function() return nil, true end
+  frames:dissect(buffer(DATA, nil, 8), packet(4, { abs_ts = 100 }), nil, MOTOR, true)
+  lu.assertFalse(seen.frame.bus)
 end
 
 function T.test_what_is_shown()
@@ -363,6 +368,8 @@ function T.test_a_frame_that_is_visited()
   seen.asked = nil
   frames:dissect(buffer(DATA), packet(5), nil, MOTOR, false)
   lu.assertEquals({ seen.frame.visited, seen.asked }, { false, false }, "asked again behind a revisit")
+  frames:dissect(buffer(DATA), packet(5, { visited = true }), nil, MOTOR, false)
+  lu.assertTrue(seen.frame.visited, "the newest one")
 end
 
 function T.test_a_frame_of_others()
@@ -450,6 +457,7 @@ function T.test_frames_that_are_shown_are_not_deferred()
   local frames = deferring()
   frames:reset()
   lu.assertFalse(frames.deferral.is_undecided)
+  lu.assertFalse(frames.deferral:defer(buffer("\0\0", nil, 8), packet(3), nil, MOTOR, false), "of another file")
 end
 
 function T.test_frames_without_an_id()
@@ -459,7 +467,7 @@ function T.test_frames_without_an_id()
   frames.deferral:on_header(packet(3), buffer(record(EXTENDED + MOTOR, DATA)))
   lu.assertEquals({ seen.frame.data, seen.frame.accepts_all, seen.calls }, { DATA, true, {} })
   lu.assertEquals(frames:without_id(buffer("", 8), packet(4)), 8)
-  lu.assertEquals(seen.calls[1][1], "show_without_id")
+  lu.assertEquals({ seen.calls[1][1], seen.asked }, { "show_without_id", true })
 end
 
 -- A frame that nobody accepted may be a message that is not dissected.
@@ -485,6 +493,12 @@ function T.test_noted_frames()
   frames.deferral:on_header(packet(6), buffer(record(EXTENDED + MOTOR, "")))
   lu.assertNil(seen.undissected, "nothing was captured")
   lu.assertEquals(frames.deferral.can, 3)
+  parts.buses.bus_is_per_packet = false
+  frames.deferral:note(buffer("\1", nil, 8), packet(7, { len = 9 }))
+  frames.deferral:on_header(packet(7), buffer(record(EXTENDED + MOTOR, "\1")))
+  lu.assertEquals({ seen.undissected.number, seen.undissected.data, seen.undissected.bus }, { 7, "\1", false })
+  frames.deferral:open(function() end)
+  lu.assertEquals({ frames.deferral.can, frames.deferral.extended }, { 0, 0 }, "of another statistic")
   lu.assertFalse(frames.deferral:note(buffer(DATA, nil, 8), packet(6, { len = 40 })), "no record of SocketCAN")
 end
 

@@ -104,7 +104,6 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
   frame.key = key
   frame.number = number
   frame.time = pinfo[self.time_name] - self.start
-  frame.visited = false
   frame.can_id = fields_of[id]
   frame.data = data
   frame.reported = reported
