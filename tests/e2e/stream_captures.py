@@ -479,6 +479,11 @@ def addresses(origin):
     return (here, there, *ports) if origin.direction == 0 else (there, here, *ports[::-1])
 
 
+def sender(origin):
+    source, _, port, _ = addresses(origin)
+    return f"{'.'.join(map(str, source))}:{port}"
+
+
 def raw(packet):
     return packet.data
 
@@ -609,8 +614,23 @@ class Capture:
         origins = {packet.origin.interface: packet.origin.linktype for packet in packets}
         self.linktypes = [origins.get(interface, USER0) for interface in range(max(origins, default=0) + 1)]
         self.buses = {(packet.origin.interface, packet.origin.bus_direction) for packet in packets}
+        senders = self.senders_by_id() if link in (udp, tcp) else {}
         for packet in packets:
             packet.bus = self.bus_name(packet.origin)
+            packet.buses = {ident: sender(packet.origin) for ident, names in senders.items() if len(names) > 1}
+
+    def senders_by_id(self):
+        """The senders of each ID in the file's first 64 KB, by the headers that packets begin with."""
+        found, place, data = {}, len(self.head()), self.bytes()[:65536]
+        for packet in self.packets:
+            length = len(self.link(packet))
+            begin = place + 28 + length - len(packet.data)
+            if begin + HEADER <= len(data) and packet.data[:2] == b"YP" and packet.captured > 1:
+                ident, _, reserved = struct.unpack_from("<IHH", data, begin + 4)  # they may end in another packet
+                if ident < 0x800 and not reserved:
+                    found.setdefault(ident, set()).add(sender(packet.origin))
+            place += len(self.packet_block(packet, self.link(packet)))
+        return found
 
     def bus_name(self, origin):
         """The name that tells the bus of a packet from others, "" where the capture has one bus."""
@@ -619,15 +639,22 @@ class Capture:
         has_both = {(origin.interface, "rx"), (origin.interface, "tx")} <= self.buses
         return f"if{origin.interface}" + has_both * f"#{origin.bus_direction}"
 
+    def head(self):
+        return block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)) + b"".join(
+            block(1, struct.pack("<HHI", linktype, 0, 0)) for linktype in self.linktypes)
+
+    @staticmethod
+    def packet_block(packet, data):
+        captured = len(data) - len(packet.data) + packet.captured
+        return block(6, struct.pack("<IIIII", packet.origin.interface, packet.time >> 32,
+                                    packet.time & 0xFFFFFFFF, captured, len(data)) + data[:captured])
+
+    def bytes(self):
+        return self.head() + b"".join(
+            self.packet_block(packet, (self.link or LINKS[packet.origin.linktype])(packet)) for packet in self.packets)
+
     def write(self, path):
-        blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
-        blocks += [block(1, struct.pack("<HHI", linktype, 0, 0)) for linktype in self.linktypes]
-        for packet in self.packets:
-            data = (self.link or LINKS[packet.origin.linktype])(packet)
-            captured = len(data) - len(packet.data) + packet.captured
-            blocks.append(block(6, struct.pack("<IIIII", packet.origin.interface, packet.time >> 32,
-                                               packet.time & 0xFFFFFFFF, captured, len(data)) + data[:captured]))
-        path.write_bytes(b"".join(blocks))
+        path.write_bytes(self.bytes())
 
 
 def interleaved(rng, streams):
@@ -665,8 +692,10 @@ def capture(transport, seed, count):
     where, arrive, link, options = TRANSPORTS[transport]
     streams = []
     for number in range(count):
-        origin = where(number)
-        streams.append(arrive(rng, stream(rng), origin))
+        data = stream(rng)
+        while link is tcp and b"\xff\xff" in data:  # it may be of telnet, and then a frame waits for more bytes
+            data = stream(rng)
+        streams.append(arrive(rng, data, where(number)))
     packets = interleaved(rng, streams)
     note_deltas(packets)
     return Capture(transport, packets, link, options)

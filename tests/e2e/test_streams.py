@@ -99,9 +99,9 @@ def faults(payload):
 
 
 def info(packet, event):
-    bus = packet.bus
     if event.kind == "skipped":
         return f"Skipped {counted(event.data)}{quoted(event.data)}"
+    bus = packet.bus or packet.buses.get(event.ident)
     source = f" ({bus})" if bus else ""
     known = model.MESSAGES.get(event.ident)
     if known:

@@ -58,7 +58,11 @@ local function new_reading()
     seen.header = { ... }
     return said.has_order
   end
-  local lines = { has_serial = "has serial", senders = { scan = function(_, head) seen.scanned = head end } }
+  local lines = { has_serial = "has serial" }
+  function lines.scan(_, head)
+    seen.scanned = head
+    return said.conversations or {}
+  end
   function lines.of(_, ...)
     seen.line_of = { ... }
     return said.line
@@ -265,14 +269,11 @@ end
 
 function T.test_the_beginning_of_a_file()
   local streams, reading = new_streams()
-  local senders = require("yapp.serial.senders")
-  local conversations = senders.conversations
   local both = { { is_tcp = true, port = 1 }, { is_tcp = false, port = 2 } }
-  senders.conversations = function(head) return head == "YAPP" and both or {} end
   streams:scan("other")
   lu.assertEquals({ seen.scanned, seen.watches, seen.taken }, { "other", 0, {} })
+  said.conversations = both
   streams:scan("YAPP")
-  senders.conversations = conversations
   lu.assertIs(seen.awaited, both)
   lu.assertEquals({ seen.watches, seen.watched, seen.taken }, { 1, "tcp header", { { true, 1 }, { false, 2 } } })
   lu.assertEquals(streams:options(), { "-d udp.port==2,yapp_serial" })

@@ -21,7 +21,8 @@ function T.test_other_bytes()
   local zero_volts = "\253\127\253\127" -- two float16 of Motor Data
   for _, bytes in ipairs { "", "\254", "\253\9\0", V1:sub(1, -2), V1 .. "x", V2 .. V1:sub(1, 3), "x" .. V1,
     zero_volts .. ("p"):rep(127 + 12 - 4), "\253\9\2\0" .. V2:sub(5), "\253\9\0\1" .. V2:sub(5),
-    "\253\9\2\0" .. V2:sub(5) .. ("s"):rep(26), "\1\9\0\0" .. V2:sub(5) } do
+    "\253\9\2\0" .. V2:sub(5) .. ("s"):rep(26), "\1\9\0\0" .. V2:sub(5),
+    "\254\1" .. ("\0"):rep(7), V1:sub(1, 4) .. "\0" .. V1:sub(6), V2:sub(1, 6) .. "\0" .. V2:sub(8) } do
     lu.assertFalse(mavlink.is_whole(bytes))
   end
 end

@@ -103,12 +103,26 @@ function T.test_what_is_no_datagram()
   lu.assertEquals(next(self.is_changing), nil)
 end
 
+function T.test_ids_of_several_senders()
+  local function shared(bytes)
+    local self = senders.new()
+    self:scan(bytes)
+    return self:shared_ids(senders.conversations(bytes))
+  end
+  local health = ipv4(40000, 11):gsub("\16\2", "\0\2")
+  lu.assertEquals(shared(ipv4(40000) .. ipv4(40000)), {})
+  lu.assertEquals(shared(ipv4(40000) .. health), {}) -- another ID
+  lu.assertEquals(shared(ipv4(40000, 10) .. health .. ipv4(40000, 12)), { [0x210] = true })
+  lu.assertEquals(shared(ipv4(40000) .. ipv4(40001)), { [0x210] = true })
+  lu.assertEquals(shared(ipv4(1) .. ipv4(2) .. ipv4(3) .. ipv4(4)), {}) -- one that takes new ports
+end
+
 function T.test_options()
   local function options_of(bytes) return senders.options(senders.conversations(bytes)) end
   local function tcp(ports, rest)
     local words = string.char((20 + #rest) / 4 * 16) -- the size of the header
     return "any" .. "\69\0\0\76\0\0\0\0\64\6\0\0\192\168\1\10\192\168\1\20" .. ports .. ("\0"):rep(8) .. words ..
-      ("\0"):rep(7) .. rest .. FRAME
+      "\24" .. ("\0"):rep(6) .. rest .. FRAME
   end
   lu.assertEquals(options_of(ipv4(40000) .. ipv4(40001) .. FRAME), { "-d udp.port==14550,yapp_serial" })
   lu.assertEquals(options_of(tcp("\15\161\195\80", "") .. tcp("\195\80\15\162", ("\1"):rep(12))),
@@ -119,13 +133,18 @@ function T.test_options()
   local cut = ipv4(40000):gsub("\0\56\0\0YP", "\0\55\0\0YP") -- a frame that ends in another datagram
   lu.assertNil(senders.conversations(cut)[1].payload)
   -- Bytes of the packet before that look like IPv6 with TCP: 40 bytes, and a header of 20.
-  local function before(length, words)
-    return "any\96\0\0\0" .. length .. "\6" .. ("\0"):rep(33) .. ("\0"):rep(12) .. words .. ("\0"):rep(7) .. FRAME
+  local function before(length, words, flags)
+    return "any\96\0\0\0" .. length .. "\6" .. ("\0"):rep(33) .. ("\0"):rep(12) .. words .. (flags or "\24") ..
+      ("\0"):rep(6) .. FRAME
   end
   lu.assertEquals(options_of(before("\0\52", "\80")), { "-d tcp.port==0,yapp_serial" })
   lu.assertEquals(options_of(before("\0\52", "\70")), {})
   lu.assertEquals(#options_of(before("\36\0", "\80")), 1)
   for _, length in ipairs { "\36\1", "\199\52" } do lu.assertEquals(options_of(before(length, "\80")), {}) end
+  for _, flags in ipairs { "\0", "\18", "\20", "\8" } do -- no ACK, or with SYN or RST
+    lu.assertEquals(options_of(before("\0\52", "\80", flags)), {})
+  end
+  lu.assertEquals(options_of(before("\0\52", "\80", "\17")), { "-d tcp.port==0,yapp_serial" })
 end
 
 return T

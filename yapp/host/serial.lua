@@ -59,8 +59,7 @@ end
 
 --- Look at the first bytes of the capture file, which may have frames.
 function Dissector:scan(head)
-  self.reading.lines.senders:scan(head)
-  self:expect(senders.conversations(head))
+  self:expect(self.reading.lines:scan(head))
   if self.reading:is_yapp(head) then self:watch_tcp() end
 end
 

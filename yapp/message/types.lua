@@ -73,14 +73,19 @@ local function write_of(message, hides_values)
   return message and text_of.writer_of(hides_values and message.info_rest or message.info)
 end
 
+-- Whether only its bus tells a source from others.
+local function needs_bus(self, bus, line)
+  return bus and (self.has_several or line and line.is_shared)
+end
+
 -- Return what a message is called: its title and the name of its source.  Without a name, the ID or
 -- bus follows if it tells the source from others: "Motor Data left", "Motor Data 0x212 (can1)",
 -- "Motor Data", "ID 0x123".
-local function label_of(self, message, name, id, bus)
-  local title, needs_bus = title_of(message, id), self.has_several and bus
+local function label_of(self, message, name, id, bus, line)
+  local title = title_of(message, id)
   local is_usual = not message or id == message.id and not self.several_ids[message]
-  if is_usual and not (name or needs_bus) then return title end
   if name then return title .. " " .. name end
+  if is_usual and not needs_bus(self, bus, line) then return title end
   return title .. (message and (" 0x%x"):format(id) or "") .. (bus and (" (%s)"):format(bus) or "")
 end
 
@@ -107,7 +112,7 @@ function Types:new_source(id, bus_key, bus, line)
   local interface = line and line.interface or nil
   local message = self:message_of(id, bus, interface)
   local name = self.sources:name(bus, id, interface)
-  local label = label_of(self, message, name, id, bus)
+  local label = label_of(self, message, name, id, bus, line)
   return {
     id = id,
     bus = bus,

@@ -27,6 +27,7 @@ function M.new(types, buses)
     end),
     by_key = {},
     clients = {}, -- [sender's address, receiver] = the latest line of TCP
+    shared_ids = {}, -- [ID] = true: those that several senders in UDP or TCP have
     awaited = {}, -- by key of a line: the payload of the first frame that the file has of it
     has_serial = false, -- whether a line is neither of UDP or TCP nor of an adapter
     sources = memo(function() return {} end), -- [sender in UDP or TCP][ID]
@@ -47,6 +48,7 @@ end
 --   tag          what few lines share: the kind and ports of packets; the key of an adapter's
 --   bus          name or nil
 --   label        text that tells its sources apart, nil if nothing does
+--   is_shared    whether other senders in UDP or TCP have its latest ID, too
 --   has_address  whether its packets have a sender
 --   interface    of UDP or TCP: the name of its interface, or nil
 --   is_tcp, is_datagram  whether it is of TCP, of UDP
@@ -66,6 +68,7 @@ local function new_line(key, opposite, bus_key, bus)
     tag = key,
     bus = bus,
     label = bus,
+    is_shared = false,
     has_address = false,
     interface = nil,
     is_ip = false,
@@ -194,11 +197,22 @@ function Lines:of_adapter(endpoint)
   return line
 end
 
+--- Look at the first bytes of the file, which may have frames.
+-- returns  the conversations in them, see serial.senders
+function Lines:scan(head)
+  local conversations = senders.conversations(head)
+  self.senders:scan(head)
+  self.shared_ids = self.senders:shared_ids(conversations)
+  return conversations
+end
+
 --- Return the source of the messages of a line with an ID, see message.types.
 function Lines:source(line, id)
   local source = line.sources[id]
   if not source then
-    if line.is_ip then line.label = self.senders:short(line.bus) end
+    if line.is_ip then
+      line.label, line.is_shared = self.senders:short(line.bus), self.shared_ids[id]
+    end
     source = self.types:new_source(id, line.bus_key, line.bus, line)
     line.sources[id] = source
   end

@@ -168,11 +168,12 @@ end
 -- Headers in front of a frame: without and with TCP's usual option.
 local BEFORE = { { UDP, UDP_HEADER }, { TCP, 20 }, { TCP, 32 } }
 
--- Whether a header has its size in front of the frame: TCP says it, in words of four bytes.
-local function has_size(bytes, index, row)
+-- Whether a header of TCP is as in front of data: its size in words of four bytes, and of its flags
+-- ACK is set, SYN and RST are not.
+local function is_of_data(bytes, index, row)
   if row[1] ~= TCP then return true end
-  local offset = byte(bytes, index + 12)
-  return (offset - offset % 16) / 4 == row[2]
+  local size, flags = byte(bytes, index + 12, index + 13)
+  return size * 4 / 16 == row[2] and flags % 32 >= 16 and flags % 8 < 2
 end
 
 -- Return the payload of the frame that a datagram begins with, nil if the frame ends in another.
@@ -189,33 +190,53 @@ end
 -- returns  list of {
 --   is_tcp
 --   from, to  the sender and the receiver of the first frame, "address:port" each
+--   address, from_port  of the sender
 --   payload   of this frame, nil if it is not known
---   port      the lower one, which is the server's }
+--   port      the lower one, which is the server's
+--   ids       [ID] = true: of its frames }
 function M.conversations(bytes, count)
-  local list, is_there = {}, {}
+  local list, by_key = {}, {}
   for start in frames_in(bytes, count) do
     for _, row in ipairs(BEFORE) do
       local index = start - row[2]
       local from, to
-      if index > 0 and has_size(bytes, index, row) then
+      if index > 0 and is_of_data(bytes, index, row) then
         from, to = addresses_before(bytes, index, row[1])
       end
       local a, b, c, d = byte(bytes, index, index + 3)
       local port, other = from and a * 256 + b, from and c * 256 + d
       local key = from and table.concat({ row[1], from, port, to, other }, " ")
-      if key and not is_there[key] then
-        is_there[key] = true
-        list[#list + 1] = {
+      if key then
+        local one = by_key[key] or {
           is_tcp = row[1] == TCP,
+          address = from,
           from = from .. ":" .. port,
           to = to .. ":" .. other,
+          from_port = port,
           payload = row[1] == UDP and first_payload(bytes, start) or nil,
           port = math.min(port, other),
+          ids = {},
         }
+        if not by_key[key] then list[#list + 1], by_key[key] = one, one end
+        one.ids[frame.parse(bytes, start)] = true
       end
     end
   end
   return list
+end
+
+--- Return the IDs that several senders have: [ID] = true.
+-- conversations  of M.conversations
+function Senders:shared_ids(conversations)
+  local shared, name_by_id = {}, {}
+  for _, one in ipairs(conversations) do
+    local name = one.is_tcp and one.from or self:name_of(one.address, one.from_port)
+    for id in pairs(one.ids) do
+      name_by_id[id] = name_by_id[id] or name
+      if name_by_id[id] ~= name then shared[id] = true end
+    end
+  end
+  return shared
 end
 
 --- Return the options of tshark that decode conversations: a list of
