@@ -158,6 +158,8 @@ function T.test_copy_as_candump()
     { record("\64\0\0\0", 0, 0, ""), 0, "000#R" },
     { record("\64\0\1\35", 8, 0, ("\0"):rep(8)), 0x123, "123#R8" },
     { record("\192\0\1\35", 8, 0, ("\0"):rep(8)), 0x123, "00000123#R8" },
+    { record("\0\0\1\35", 8, 0, ("\2"):rep(8)), 0x123, "123#" .. ("02"):rep(8) },
+    { record("\0\0\1\35", 9, 0, ("\1"):rep(9)), 0x123, "123##0" .. ("01"):rep(9) },
     { record("\0\0\1\35", 9, 5, ("\1"):rep(9)), 0x123, "123##1" .. ("01"):rep(9) },
     { record("\0\0\1\35", 1, 6, "\1"), 0x123, "123##201" },
     { record("\0\0\1\35", 1, 3, "\1"), 0x123, "123#01" },
@@ -183,6 +185,7 @@ function T.test_copy_as_candump()
     function _G.copy_to_clipboard(text) seen.copied = text end
     local values = { VALUES[1], VALUES[3], bus ~= "" and { name = "yapp.bus", value = bus } or nil }
     seen.items["YAPP/Copy message as candump"]((table.unpack or unpack)(values)) -- luacheck: ignore
+    lu.assertEquals(#lines, #rows)
     lu.assertEquals({ seen.copied, tap }, { table.concat(lines), nil })
   end
 end
