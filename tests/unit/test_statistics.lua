@@ -752,6 +752,16 @@ function T.test_reserved_values_and_numbers()
   lu.assertEquals(select(2, verdicts("motor.volts.reserved=1", {})), 21)
 end
 
+function T.test_mean()
+  local records = { record(1, 0, { payload = payload(10) }), record(2, 1, { payload = payload(255) }),
+    record(3, 2, { payload = payload(12) }), record(4, 3, { payload = payload(14) }) }
+  lu.assertEquals(verdicts("motor.volts.mean=12..12,motor.volts.mean=12.1..,motor.volts.mean=..11.9", records), {
+    "motor.volts.mean=12..12 left true 12 null", "motor.volts.mean=12.1.. left false 12 null",
+    "motor.volts.mean=..11.9 left false 12 null", "unknown=0 null true 0 null" })
+  lu.assertEquals(select(2, verdicts("motor.volts.mean=..12", { record(1, 0, { payload = payload(255) }) })), 21)
+  lu.assertEquals(select(2, verdicts("motor.volts.mean=..12", {})), 21)
+end
+
 function T.test_spread()
   local records = { record(1, 0, { payload = payload(10) }), record(2, 0.1, { source = RIGHT, payload = payload(12) }),
     record(3, 0.2, { payload = payload(11) }), -- 1 apart

@@ -14,6 +14,7 @@ local M = {}
 
 local INFINITE = math.huge
 local NO_VALUE = "no good message of it was decoded"
+local ALL_RESERVED = "all its values are reserved"
 local SAME_SEQ = {
   json = '"Seq No never changes: lost messages do not show"',
   text = "Seq No never changes: lost messages do not show",
@@ -38,7 +39,7 @@ local function measure_range(group, rule)
   local values = group.values[rule.want]
   if values.seen == 0 then return nil, nil, NO_VALUE end
   if values.lets_reserved and values.count == 0 then
-    return nil, nil, "all its values are reserved"
+    return nil, nil, ALL_RESERVED
   end
   return values.outside, values.frame, ("of %d values"):format(values.seen), values.worst
 end
@@ -54,6 +55,13 @@ local function want_numbers(rule, field)
   local want = want_range(rule, field)
   want.lets_reserved = true
   return want
+end
+
+local function measure_mean(group, rule)
+  local values = group.values[rule.want]
+  if values.seen == 0 then return nil, nil, NO_VALUE end
+  if values.count == 0 then return nil, nil, ALL_RESERVED end
+  return groups.row(group, values).mean, nil, ("of %d values"):format(values.count)
 end
 
 local function measure_reserved(group, rule)
@@ -125,6 +133,14 @@ M.OF_FIELD = {
     measure = measure_range,
     takes_range = true,
     want = want_numbers,
+  },
+  {
+    name = "mean",
+    text = "MESSAGE.FIELD.mean=A..B",
+    help = "the mean of all values but reserved ones lies within",
+    measure = measure_mean,
+    takes_range = true,
+    want = function(_, field) return { field = field } end,
   },
   {
     name = "reserved",

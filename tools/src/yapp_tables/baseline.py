@@ -63,7 +63,10 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
         if not extremes:
             raise CaptureError(f"no message was decoded in {', '.join(names)}")
         rules = _counted(flights, margin)
-        rules += [_rule(source, what, found, margin) for (source, what), found in extremes.items()]
+        for (source, what), found in extremes.items():
+            # A mean has the margin of the values: those of a few flights may lie close together.
+            covered = extremes.get((source, what.removesuffix(".mean")), found)
+            rules.append(_rule(source, what, found, covered, margin))
         shares = _reserved(extremes, config.of(captures[0])[0].fields()[0])
         share = f"{(margin * 100).normalize():f}"
         head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=share)
@@ -89,22 +92,24 @@ def _extremes(flights: dict[str, list[Record]]) -> dict[tuple[str, str], list[Ex
             seen = {f"{row['field']}.spread": (row["spread"], row["spread"])}
         elif "rate" in row:
             seen = {"rate": (row["rate"], row["rate"]), "gap": (row["gap_max"], row["gap_max"])}
-            seen |= {field: (value["min"], value["max"]) for field, value in row["values"].items()}
+            for field, value in row["values"].items():
+                seen |= {field: (value["min"], value["max"]), f"{field}.mean": (value["mean"], value["mean"])}
         for what, (low, high) in seen.items():
             if low is not None:
                 found[source, f"{message}.{what}"].append((Decimal(low), Decimal(high), name))
     return found
 
 
-def _rule(source: str, what: str, found: list[Extreme], margin: Decimal) -> Rule:
+def _rule(source: str, what: str, found: list[Extreme], covered: list[Extreme], margin: Decimal) -> Rule:
+    """Return the rule of what was found. covered: what the margin is a share of."""
     kind = what.rpartition(".")[2]
     from_zero = kind in ("rate", "gap", "spread")
-    covered = max(high for _, high, _ in found) - (0 if from_zero else min(low for low, _, _ in found))
-    top, highest = _limit([(high, name) for _, high, name in found], covered * margin, margin, 1)
-    bottom, lowest = _limit([(low, name) for low, _, name in found], covered * margin, margin, -1)
+    share = margin * (max(high for _, high, _ in covered) - (0 if from_zero else min(low for low, _, _ in covered)))
+    top, highest = _limit([(high, name) for _, high, name in found], share, margin, 1)
+    bottom, lowest = _limit([(low, name) for low, _, name in found], share, margin, -1)
     if kind in ("gap", "spread"):
         return Rule(source, f"{what}={top}", highest)
-    name = what if kind == "rate" else f"{what}.numbers"
+    name = what if kind in ("rate", "mean") else f"{what}.numbers"
     return Rule(source, f"{name}={bottom}..{top}", f"{lowest}, {highest}")
 
 
