@@ -640,6 +640,23 @@ def test_pieces_on_a_port_of_another_protocol_are_no_all_clear(folder, passes, l
     assert counts == {("192.0.2.1:502", MOTOR_DATA): 20}
 
 
+@levels.by_version
+@levels.each_once
+@PASSES
+@pytest.mark.parametrize("length", [8, 11])
+def test_pieces_that_another_protocol_takes_are_no_all_clear(folder, passes, length):
+    """Telnet has port 23, and leaves none.  No piece has a whole header."""
+    data, packets = b"".join(data for _, data in flight(fault=None)), []
+    for at in range(0, len(data), length):
+        packet = Packet(data[at:at + length], Origin(ETHERNET, 0, 0))
+        packet.ports, packet.kind, packet.sequence = (23, 50000), "tcp", 1 + at
+        packets.append((2 * at / len(data), packet))
+    path = written(folder, packets, ported)
+    done = tshark.run("-q", "-r", path, *passes, "-z", "yapp,faults", check=False)
+    assert done.returncode == 21 and "try -d tcp.port==23,yapp_serial" in done.stdout
+    assert statistics(path, "-d", "tcp.port==23,yapp_serial", *passes)[0] == {("192.0.2.1:23", MOTOR_DATA): 20}
+
+
 @levels.each_once
 @PASSES
 @pytest.mark.parametrize("conversation", [("udp", (502, 44818)), ("tcp", (8080, 3306)), ("tcp", (3306, 50000))])

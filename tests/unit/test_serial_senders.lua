@@ -103,6 +103,21 @@ function T.test_what_is_no_datagram()
   lu.assertEquals(next(self.is_changing), nil)
 end
 
+-- A packet that ends in the header of a frame, behind its ID.
+function T.test_the_begin_of_a_header()
+  local function count(length, port, header)
+    local ip = "\69\0\0" .. string.char(28 + length) .. "\0\0\0\0\64\17\0\0\192\168\1\10\192\168\1\20"
+    local udp = string.char(0, port) .. "\56\214\0" .. string.char(8 + length) .. "\0\0"
+    return #senders.conversations("any" .. ip .. udp .. header:sub(1, length) .. ("x"):rep(20))
+  end
+  local found = {}
+  for length = 1, 12 do found[length] = count(length, 9, FRAME) end
+  lu.assertEquals(found, { 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1 })
+  lu.assertEquals(count(8, 9, "YP\0\0\16\8\0\0"), 0) -- an ID above 0x7FF
+  lu.assertEquals(senders.conversations("any" .. FRAME:sub(1, 8)), {})
+  lu.assertEquals(senders.conversations(ipv4(40000):sub(1, -#FRAME - #FRAME + 10)), {}) -- cut by the end of the bytes
+end
+
 function T.test_ids_of_several_senders()
   local function shared(bytes)
     local self = senders.new()

@@ -121,10 +121,11 @@ function Window:has(offset, count)
 end
 
 -- Whether bytes have what may be the header of a YAPP frame.
-local function has_header(bytes)
+-- is_header  function(bytes, start); nil for a whole one
+local function has_header(bytes, is_header)
   local start = frame.find(bytes, 1)
   while start do
-    if frame.is_plausible(bytes, start) then return true end
+    if (is_header or frame.is_plausible)(bytes, start) then return true end
     start = frame.find(bytes, start + 1)
   end
   return false
@@ -571,7 +572,7 @@ end
 --   start         if the first packet has no time stamp: that of the next one, seconds since 1970
 --   offset        of the CAN frame's data in each packet; nil where it is not always the same
 --   head          its first bytes, if it has packets and these may have YAPP frames, in TCP, UDP or
---                 others
+--                 others, of which one packet may have only the begin
 --   has_serial_frames  whether a packet of a serial line in pcapng may have a YAPP frame
 --   may_have_frames  whether its first bytes may have YAPP frames, or it has no packets yet }
 function M.read(head, more)
@@ -588,7 +589,7 @@ function M.read(head, more)
   self.is_told = format ~= nil and not self.is_unknown
   conclude(self)
   if self.start == NEXT then self.start = false end
-  self.head = has_frame and self.has_packets and head or nil
+  self.head = self.has_packets and has_header(head, frame.has_id) and head or nil
   self.may_have_frames = has_frame or not self.has_packets
   return self
 end

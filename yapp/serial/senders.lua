@@ -12,6 +12,7 @@ local M = {}
 local byte, sub = string.byte, string.sub
 
 local UDP, UDP_HEADER, TCP = 17, 8, 6
+local TO_ID = 8 -- bytes of a header, up to its ID
 local MAX_LENGTH = 0x2400 -- of an IPv6 payload: 9,216 bytes
 -- A sender changes its port if it has so many ports, each with few datagrams in a row, and hardly
 -- one comes back.  While a capture goes on, more of them are needed, and more time: several
@@ -117,36 +118,44 @@ local function ipv6_text(bytes)
     table.concat(groups, ":", best + length)
 end
 
+local function u16(bytes, index)
+  local a, b = byte(bytes, index, index + 1)
+  return a * 256 + b
+end
+
 local function ipv4_text(bytes, index)
   return ("%d.%d.%d.%d"):format(byte(bytes, index, index + 3))
 end
 
 -- Return the addresses of the IP header in front of an UDP or TCP header: of the sender and of the
--- receiver; nil if there is none.
+-- receiver, and the index behind the packet; nil if there is none.
 -- index  of the UDP or TCP header
 local function addresses_before(bytes, index, protocol)
   local v4, v6 = index - 20, index - 40
   if v4 > 0 and byte(bytes, v4) == 0x45 and byte(bytes, v4 + 9) == protocol then
-    return ipv4_text(bytes, v4 + 12), ipv4_text(bytes, v4 + 16)
+    return ipv4_text(bytes, v4 + 12), ipv4_text(bytes, v4 + 16), v4 + u16(bytes, v4 + 2)
   end
   local version = v6 > 0 and byte(bytes, v6) or 0
   local is_v6 = version - version % 16 == 0x60 and byte(bytes, v6 + 6) == protocol
   -- Bytes of another packet may look like that: of 4,000 packets one does.
-  if is_v6 and byte(bytes, v6 + 4) * 256 + byte(bytes, v6 + 5) <= MAX_LENGTH then
-    return ipv6_text(sub(bytes, v6 + 8, v6 + 23)), ipv6_text(sub(bytes, v6 + 24, v6 + 39))
+  local length = is_v6 and u16(bytes, v6 + 4)
+  if is_v6 and length <= MAX_LENGTH then
+    local from, to = ipv6_text(sub(bytes, v6 + 8, v6 + 23)), ipv6_text(sub(bytes, v6 + 24, v6 + 39))
+    return from, to, index + length
   end
 end
 
 -- Return an iterator over the starts of what may be frames.
--- count  how many at most, nil for all
-local function frames_in(bytes, count)
+-- is_header  function(bytes, start)
+-- count      how many at most, nil for all
+local function frames_in(bytes, is_header, count)
   local start, rest = 0, count or #bytes
   return function()
     rest = rest - 1
     if rest < 0 then return nil end
     repeat
       start = frame.find(bytes, start + 1)
-    until not start or frame.is_plausible(bytes, start)
+    until not start or is_header(bytes, start)
     return start
   end
 end
@@ -154,10 +163,10 @@ end
 --- Note the datagrams in the first bytes of a file, whatever carries them: those that begin with a
 -- frame.  So a sender has its name from its first message on.
 function Senders:scan(bytes)
-  for start in frames_in(bytes) do
+  for start in frames_in(bytes, frame.is_plausible) do
     local index = start - UDP_HEADER
     local address = addresses_before(bytes, index, UDP)
-    if address then self:note(address, byte(bytes, index) * 256 + byte(bytes, index + 1), 0) end
+    if address then self:note(address, u16(bytes, index), 0) end
   end
   for address, sender in pairs(self.by_address) do
     self.is_changing[address] = takes_new_ports(sender, MIN_PORTS) or nil
@@ -176,13 +185,40 @@ local function is_of_data(bytes, index, row)
   return size * 4 / 16 == row[2] and flags % 32 >= 16 and flags % 8 < 2
 end
 
+-- Whether a packet begins with a header, or with one up to its ID and ends before the header does.
+-- stop  index behind the packet
+local function is_header_of(bytes, start, stop)
+  local length = stop - start
+  return frame.is_plausible(bytes, start) or length >= TO_ID and length < frame.HEADER
+end
+
 -- Return the payload of the frame that a datagram begins with, nil if the frame ends in another.
 local function first_payload(bytes, start)
   local _, size = frame.parse(bytes, start)
-  local length = byte(bytes, start - 4) * 256 + byte(bytes, start - 3)
+  local length = u16(bytes, start - 4)
   local from, to = start + frame.HEADER, start + frame.HEADER + size - 1
   local is_inside = UDP_HEADER + frame.HEADER + size + frame.CRC_SIZE <= length
   return is_inside and to <= #bytes and sub(bytes, from, to) or nil
+end
+
+-- Return the conversation of a packet that begins with a frame, see M.conversations; nil for none.
+-- row  of BEFORE: which header the frame may have in front of it
+local function conversation_of(bytes, start, row)
+  local is_tcp, index = row[1] == TCP, start - row[2]
+  if index < 1 or not is_of_data(bytes, index, row) then return nil end
+  local address, to, stop = addresses_before(bytes, index, row[1])
+  if not address or not is_header_of(bytes, start, stop) then return nil end
+  local port, to_port = u16(bytes, index), u16(bytes, index + 2)
+  return {
+    is_tcp = is_tcp,
+    address = address,
+    from = address .. ":" .. port,
+    to = to .. ":" .. to_port,
+    from_port = port,
+    payload = not is_tcp and first_payload(bytes, start) or nil,
+    port = math.min(port, to_port),
+    ids = {},
+  }
 end
 
 --- Return the conversations that have frames in bytes of a file.
@@ -196,29 +232,13 @@ end
 --   ids       [ID] = true: of its frames }
 function M.conversations(bytes, count)
   local list, by_key = {}, {}
-  for start in frames_in(bytes, count) do
+  for start in frames_in(bytes, frame.has_id, count) do
     for _, row in ipairs(BEFORE) do
-      local index = start - row[2]
-      local from, to
-      if index > 0 and is_of_data(bytes, index, row) then
-        from, to = addresses_before(bytes, index, row[1])
-      end
-      local a, b, c, d = byte(bytes, index, index + 3)
-      local port, other = from and a * 256 + b, from and c * 256 + d
-      local key = from and table.concat({ row[1], from, port, to, other }, " ")
-      if key then
-        local one = by_key[key] or {
-          is_tcp = row[1] == TCP,
-          address = from,
-          from = from .. ":" .. port,
-          to = to .. ":" .. other,
-          from_port = port,
-          payload = row[1] == UDP and first_payload(bytes, start) or nil,
-          port = math.min(port, other),
-          ids = {},
-        }
+      local one, id = conversation_of(bytes, start, row), frame.parse(bytes, start)
+      if one and id then
+        local key = table.concat({ row[1], one.from, one.to }, " ")
         if not by_key[key] then list[#list + 1], by_key[key] = one, one end
-        one.ids[frame.parse(bytes, start)] = true
+        by_key[key].ids[id] = true
       end
     end
   end
