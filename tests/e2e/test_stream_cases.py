@@ -489,7 +489,11 @@ def test_usb_adapters(folder, adapter, how, linktype):
         counts, events = statistics(path, *options)
         assert counts == {(rx, MOTOR_DATA): 20, (tx, 0): 9}
         assert raised(events) == [[rx, name]] and not kinds(events) & {"crc", "incomplete", "skipped", "unfinished"}
-    tshark.assert_no_lua_errors(path, "-V", passes=[["-2"]])
+    shown = tshark.fields(path, [f"taurus.motor.{field}" for field in ("timestamp", "motor_temperature", "esc_temperature")],
+                          "-2", "-o", "yapp.search_all:TRUE")
+    times, *temperatures = [",".join(filter(None, column)).split(",") for column in zip(*shown)]
+    assert [float(time) for time in times] == pytest.approx([number / 10 for number in range(20)])
+    assert temperatures == [["30"] * 20, ["40"] * 20]  # counts of 70 and 80 from -40 °C on, one each
 
 
 def test_foreign_usb_is_left_alone(folder):

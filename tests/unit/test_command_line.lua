@@ -36,6 +36,7 @@ end
 function T.test_nothing()
   lu.assertEquals(options(), {})
   lu.assertEquals(command_line.options(""), {})
+  lu.assertEquals(command_line.options("-q\0"), {}) -- the program
   lu.assertEquals(options("-"), {})
 end
 
