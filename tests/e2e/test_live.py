@@ -147,9 +147,16 @@ class Extcap:
         self.data, self.reader = b"", None
         self.process = subprocess.Popen([PYTHON, program, "--capture", "--extcap-interface", interface, "--fifo", self.fifo,
                                          *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        threading.Thread(target=self._release, daemon=True).start()
         self.file = open(self.fifo, "rb", buffering=0)
         if start:
             self.read()
+
+    def _release(self):
+        """Nobody waits for a program that ends before it opens the fifo."""
+        self.process.wait()
+        with contextlib.suppress(FileNotFoundError):  # the folder is gone where it ended later
+            os.close(os.open(self.fifo, os.O_RDWR | os.O_NONBLOCK))
 
     def read(self):
         self.reader = threading.Thread(target=self._read, daemon=True)
