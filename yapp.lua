@@ -166,6 +166,10 @@ end
 -- Make what reads and shows YAPP: a frame, a packet or a statistic needs it.
 local function make_reading()
   if streams then return end
+  -- Nothing calls this dissector, as YAPP shows the Taurus messages.  It must exist, because the
+  -- API asks by dissector whether a protocol is wanted (see show.tree).  When Wireshark ends, it
+  -- looks for each dissector of ours in all its tables, so a start takes longer with more of them.
+  function taurus.dissector() return 0 end
   reading = reading_of.new(types, buses, register_start)
   builder = show_tree.new {
     yapp = yapp,
@@ -268,10 +272,6 @@ skipped.dissector = counted(function(tvb, pinfo, root)
   return streams:skipped(tvb, pinfo, root)
 end)
 
--- Nothing calls this dissector, as YAPP shows the Taurus messages.  It must exist, because the API
--- asks by dissector whether a protocol is wanted (see show.tree).
-function taurus.dissector() return 0 end
-
 -- A conversation becomes YAPP's with its first packet that is YAPP.
 local found_by_content = counted(function(tvb, pinfo, root)
   if not streams:accepts(tvb, pinfo, root) then return false end
@@ -282,13 +282,12 @@ end)
 
 -- Called for a port of host.ports.
 local to_serial = Dissector.get("yapp_serial")
-server.dissector = counted(function(tvb, pinfo, root)
+ports.use(server, counted(function(tvb, pinfo, root)
   if not ports.is_of_others(pinfo) then return 0 end
   if not streams:accepts(tvb, pinfo, root) then return 0 end
   pinfo.conversation = serial
   return to_serial:call(tvb, pinfo, root)
-end)
-ports.use(server)
+end))
 
 -- Each call of a heuristic costs time, and most captures are full of other TCP and UDP.  So search
 -- only if the first bytes of a file may have a YAPP frame, if there are no packets yet (a live

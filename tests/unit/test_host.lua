@@ -145,13 +145,15 @@ end
 function T.test_ports()
   local ports = require("yapp.host.ports")
   local own, other = setmetatable({ name = "yapp_port" }, { __tostring = function() return "yapp_port" end }), "another"
-  ports.use(own)
+  ports.use(own, "dissector")
   tables["tcp.port"][80] = other
   ports.take(true, 80)
+  lu.assertNil(own.dissector, "most captures need none")
   ports.take(true, 14550)
   ports.take(false, 14550)
   ports.take(false, 9)
   lu.assertEquals({ tables["tcp.port"][80], tables["tcp.port"][14550], tables["udp.port"][14550] }, { other, own, own })
+  lu.assertEquals(own.dissector, "dissector")
   local function is_of_others(kind, from, to)
     return ports.is_of_others { port_type = kind, src_port = from, dst_port = to }
   end

@@ -547,11 +547,13 @@ end
 
 function T.test_a_port_that_another_protocol_has()
   local protos = open()
-  lu.assertEquals(seen.arguments["ports.use"], { protos.yapp_port })
+  local arguments = seen.arguments["ports.use"]
+  local server, dissector = arguments[1], arguments[2]
+  lu.assertIs(server, protos.yapp_port)
   local function dissect(is_of_others, accepts)
     local pinfo = {}
     said["ports.is_of_others"], said["streams.accepts"], said["dissector yapp_serial.call"] = is_of_others, accepts, 40
-    return { protos.yapp_port.dissector("tvb", pinfo, "root"), pinfo.conversation == protos.yapp_serial }
+    return { dissector("tvb", pinfo, "root"), pinfo.conversation == protos.yapp_serial }
   end
   lu.assertEquals({ dissect(false, true), dissect(true, false), dissect(true, true) },
     { { 0, false }, { 0, false }, { 40, true } })

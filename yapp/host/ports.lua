@@ -15,18 +15,20 @@ local TCP = 2 -- pinfo.port_type
 local TABLES = { [true] = DissectorTable.get("tcp.port"), [false] = DissectorTable.get("udp.port") }
 
 local taken = {} -- list of { table of dissectors, port }
-local own -- Proto
+local own, dissect -- Proto; its dissector, which most captures do not need
 
 --- Use a protocol from now on.
--- proto  that looks for YAPP, and leaves what is none
-function M.use(proto)
-  own = proto
+-- proto      that looks for YAPP, and leaves what is none
+-- dissector  of it: function(tvb, pinfo, tree)
+function M.use(proto, dissector)
+  own, dissect = proto, dissector
 end
 
 --- Take the server's port of a conversation.
 function M.take(is_tcp, port)
   local ports = TABLES[is_tcp]
   if ports:get_dissector(port) then return end -- it may be ours already
+  own.dissector = dissect
   ports:add(port, own)
   taken[#taken + 1] = { ports, port }
 end
