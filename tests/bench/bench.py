@@ -244,10 +244,10 @@ def text(options, head, asked, results, pure):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=5, help="how often each command is run")
+    parser.add_argument("--runs", type=int, default=3, help="how often each command is run")
     parser.add_argument("--long", type=int, default=0, metavar="RUNS", help="long captures too, so often")
     parser.add_argument("--base", type=lambda path: pathlib.Path(path).resolve(), help="a checkout of another version")
-    parser.add_argument("--messages", type=int, default=40_000)
+    parser.add_argument("--messages", type=int, default=20_000)
     parser.add_argument("--only", default="", metavar="WORD", help="only works with this in their title; writes no file")
     parser.add_argument("--out", type=pathlib.Path, default=TOP / "docs/BENCH.md")
     options = parser.parse_args()
