@@ -101,11 +101,11 @@ def choose(wireshark, frame, number, until):
     return wireshark.press(*["Down"] * 6, "Right", *["Down"] * number, "Return", until=until, menu_of=(200, 100))
 
 
-def name(wireshark, frame, text):
+def name(wireshark, frame, text, title="flight.pcapng", items=tuple(ITEMS)):
     """Gives the controller of a frame a name by the menu, which opens a dialog."""
-    choose(wireshark, frame, ITEMS.index("Name"), lambda: any("YAPP Name" in title for title in wireshark.windows().values()))
+    choose(wireshark, frame, items.index("Name"), lambda: any("YAPP Name" in title for title in wireshark.windows().values()))
     wireshark.answer("YAPP Name", text, before="End")
-    wireshark.wait_for_window("flight.pcapng")
+    wireshark.wait_for_window(title)
 
 
 @from_4_4
@@ -148,6 +148,22 @@ def test_a_controller_is_named_by_its_menu(capture):
         name(wireshark, 5, "left")
         gui.wait_for(lambda: "yapp.sources: can1/0x210=right, can0/0x210=left\n" in preferences.read_text())
         wait_for_words(wireshark, ["left"], f"{gui.WIDTH}x80+0+60")
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+
+
+@from_4_4
+def test_a_controller_of_a_stream_is_named_by_its_menu():
+    """One of three that send UDP; the column Source shows what differs first."""
+    path = gui.tshark.CAPTURES / "cases/udp_three_controllers.pcap"
+    items = [item for item in ITEMS if item != "Whole message"]
+    with gui.Wireshark("-C", "YAPP", "-r", path, profile=PROFILE) as wireshark:
+        preferences = wireshark.home / ".config/wireshark/profiles/YAPP/preferences"
+        wireshark.wait_for_window(path.name)
+        name(wireshark, 2, "right", path.name, items)
+        gui.wait_for(lambda: "yapp.sources: 192.168.1.12:40000/0x210=right\n" in preferences.read_text())
+        wireshark.filter("udp")
+        wireshark.keys("Escape")
+        wait_for_words(wireshark, ["right", "40000"], f"{gui.WIDTH}x200+0+60")
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
 
 
