@@ -763,4 +763,31 @@ function T.test_negotiation_of_telnet_is_skipped()
   feeds(s, negotiation .. first, ("skipped 0-6, good 6-%d"):format(6 + #first))
 end
 
+-- Commands inside a frame, of 2 and 3 bytes and longer; each frame is read, whatever the cuts.
+function T.test_commands_of_telnet_inside_a_frame()
+  local commands = { "\255\241", "\255\251\1", "\255\250\44\107\255\255\64\255\240" }
+  local first, second = frame(0x210, ("\255"):rep(32)), frame(0x210, ("ab\255"):rep(10) .. "cd")
+  for _, command in ipairs(commands) do
+    for at = 2, #doubled(second) - 1 do -- behind "YP", which is searched for
+      local bytes = doubled(second)
+      if bytes:sub(1, at):match("\255*$"):len() % 2 == 0 then -- not inside a doubled byte
+        local with_command = bytes:sub(1, at) .. command .. bytes:sub(at + 1)
+        for _, cut in ipairs { 1, at + 1, at + 3 } do
+          local s, stream = new(), doubled(first) .. with_command .. doubled(second)
+          s:expect_telnet()
+          local findings = s:add(stream:sub(1, #doubled(first) + cut))
+          local found = good_ones(s:add(stream:sub(#doubled(first) + cut + 1), true, findings))
+          lu.assertEquals(found, { first, second, second }, ("%d of %d"):format(at, #command))
+        end
+      end
+    end
+  end
+  -- One that does not end holds back no more than 64 bytes.
+  local s = new()
+  s:expect_telnet()
+  local endless = doubled(second):gsub("\255\255", "\255\250", 1)
+  local found = good_ones(s:add(doubled(first) .. endless .. doubled(second):rep(2)))
+  lu.assertEquals(found, { first, second, second })
+end
+
 return T

@@ -19,7 +19,7 @@
 -- its bytes came and no message of the catalogue begins in them.  Everything else is noise.
 --
 -- A serial server in telnet mode (RFC 854) sends each byte 0xFF twice.  If that makes a CRC good,
--- the stream is telnet from there on:
+-- the stream is telnet from there on, and may have commands (RFC 2217) inside a frame:
 --
 --   59 50 00 00 .. FF FF 12 .. CRC   49 bytes in the stream, a frame of 48
 
@@ -32,7 +32,10 @@ local byte, find, sub = string.byte, string.find, string.sub
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local Y = byte(frame.SYNC)
-local TWICE = "\255\255" -- a byte 0xFF in telnet
+local IAC = "\255" -- begins a command of telnet
+local TWICE = IAC .. IAC -- a byte 0xFF in telnet
+local SUBNEGOTIATION, SUBNEGOTIATION_END = 250, IAC .. "\240" -- commands; others above have 3 bytes
+local MAX_SUBNEGOTIATION = 64 -- bytes: a damaged byte may begin one that does not end
 
 -- The longest open candidates that good frames inside them wait for: 7 s of a controller's
 -- messages, or two messages.
@@ -87,18 +90,38 @@ function Framer:expect_telnet()
   self.telnet = self.telnet or "may"
 end
 
--- Return bytes of telnet as they were before it.
+-- Return the index behind a command of telnet, nil if its end has not come.
+-- index  of its 0xFF
+local function command_end(text, index)
+  local command = byte(text, index + 1)
+  if command == SUBNEGOTIATION then
+    local _, last = find(text, SUBNEGOTIATION_END, index + 2, true)
+    if last and last - index < MAX_SUBNEGOTIATION then return last + 1 end
+    if #text - index < MAX_SUBNEGOTIATION then return nil end
+  end
+  local stop = command and index + (command > SUBNEGOTIATION and 3 or 2)
+  return stop and stop <= #text + 1 and stop
+end
+
+-- Return bytes of telnet as they were before it: a doubled 0xFF once, and no commands.
 -- index, count  of the first one in the text; how many are wanted
--- returns  them, and how many bytes of the text they are; or nil, and how many are to come
+-- returns  them, and how many bytes of the text they are; or nil, and how many are to come at least
 local function undouble(text, index, count)
   local parts, start = {}, index
   while count > 0 do
-    local twice = find(text, TWICE, index, true)
-    local part = sub(text, index, math.min(twice or #text, index + count - 1))
-    parts[#parts + 1], count, index = part, count - #part, index + #part
-    local is_half = count == 0 and index > #text and byte(text, -1) == 255
-    if is_half or count > 0 and not twice then return nil, math.max(count, 1) end
-    if twice == index - 1 then index = index + 1 end
+    local mark = find(text, IAC, index, true)
+    local part = sub(text, index, math.min((mark or #text + 1) - 1, index + count - 1))
+    count, index = count - #part, index + #part
+    if count > 0 then
+      if not mark or mark == #text then return nil, count end
+      if byte(text, mark + 1) == 255 then
+        part, count, index = part .. IAC, count - 1, mark + 2
+      else
+        index = command_end(text, mark)
+        if not index then return nil, count end
+      end
+    end
+    parts[#parts + 1] = part
   end
   return table.concat(parts), index - start
 end
@@ -112,12 +135,18 @@ local function read_header(self, text, index)
   return reserved == 0 and id <= frame.MAX_ID and fits, size, known ~= nil
 end
 
+-- Return the index of the next bytes that telnet may have changed, nil for none.
+local function find_mark(self, index)
+  if not self.telnet then return nil end
+  return find(self.text, self.telnet == "is" and IAC or TWICE, index, true)
+end
+
 -- Return the candidate of a "YP", nil if its header has not come.
 -- index  in the text, 1-based
 local function candidate_at(self, index)
   local is_plausible, size, is_known = read_header(self, self.text, index)
-  local twice = self.telnet and find(self.text, TWICE, index, true)
-  if twice and twice < index + HEADER and (self.telnet == "is" or not is_plausible) then
+  local mark = find_mark(self, index)
+  if mark and mark < index + HEADER and (self.telnet == "is" or not is_plausible) then
     local header = undouble(self.text, index, HEADER)
     if not (header or self.is_ending) then return nil end
     local is_better, its_size, its_known = read_header(self, header or "", 1)
@@ -182,9 +211,8 @@ end
 function Framer:judge(candidate)
   local index, is_sure = candidate.from - self.text_from + 1, self.telnet == "is"
   if not self.telnet then return self:is_good(self.text, index, candidate.length) end
-  local last = index + candidate.length - 1
-  local twice = find(self.text, TWICE, index, true)
-  local may_be_telnet = twice and twice <= last or is_sure and byte(self.text, last) == 255
+  local mark = find_mark(self, index)
+  local may_be_telnet = mark and mark < index + candidate.length
   if not (may_be_telnet and is_sure) then
     candidate.to = candidate.from + candidate.length
     if self:is_good(self.text, index, candidate.length) then return true end
