@@ -168,6 +168,36 @@ def test_what_stands_in_the_file(learnt):
     assert at_high != at_low
 
 
+def test_fields_with_the_names_of_measures(tmp_path, monkeypatch):
+    """The rate of the messages is 10 Hz, the field of this name 1000 to 1009."""
+    fields = ", ".join(f'{{ "{name}", "uint16", "{name.title()}" }}' for name in ("rate", "gap", "mean", "spread"))
+    (tmp_path / "messages.lua").write_text(
+        f'return {{ {{ name = "pump", title = "Pump", id = 0x340, size = 8, {fields} }} }}'
+    )
+    monkeypatch.setenv("YAPP_MESSAGES", str(tmp_path / "messages.lua"))
+    for capture in ("a", "b"):
+        frames = [
+            f"({n / 10:.6f}) can0 {0x340 << 18 | n:08X}#{struct.pack('<4H', 1000 + n % 10, 50, n, 7).hex()}\n"
+            for n in range(100)
+        ]
+        (tmp_path / f"{capture}.log").write_text("".join(frames))
+    learn(tmp_path, "a.log", "b.log", options=("-o", "yapp.pump_ids:0x340"))
+    text = (tmp_path / "flight.rules").read_text()
+    learnt = {name: ends for name, *ends in re.findall(r"^pump\.([\w.]+)=(?:(.+?)\.\.)?(\S+) ", text, re.M)}
+    assert learnt.keys() == {"rate.messages", "gap.messages"} | {
+        f"{name}.{what}" for name in ("rate", "gap", "mean", "spread") for what in ("numbers", "mean")
+    }
+    expected = {
+        "rate.messages": (10, 10),
+        "rate.numbers": (1000, 1009),
+        "rate.mean": (1004.5, 1004.5),
+        "mean.numbers": (0, 99),
+    }
+    for name, (lowest, highest) in expected.items():
+        low, high = map(float, learnt[name])
+        assert lowest - 30 < low <= lowest <= highest <= high < highest + 30, name
+
+
 def test_without_names(learnt, tmp_path):
     """Rules are about all controllers then; a wider margin is wider."""
     options = OPTIONS[:4]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 from . import __version__
 from .config import Config
@@ -65,7 +66,8 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
         rules = _counted(flights, margin)
         for (source, what), found in extremes.items():
             # A mean has the margin of the values: those of a few flights may lie close together.
-            covered = extremes.get((source, what.removesuffix(".mean")), found)
+            field, _, measure = what.rpartition(".")
+            covered = extremes[source, f"{field}.numbers"] if measure == "mean" else found
             rules.append(_rule(source, what, found, covered, margin))
         shares = _reserved(extremes, config.of(captures[0])[0].fields()[0])
         share = f"{(margin * 100).normalize():f}"
@@ -80,20 +82,23 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
 
 
 def _extremes(flights: dict[str, list[Record]]) -> dict[tuple[str, str], list[Extreme]]:
-    """Return what was seen, by source and what a rule is about: "motor.rate", "motor.dc_voltage"."""
+    """Return what was seen, by source and the name of a rule: "motor.rate", "motor.dc_voltage.numbers"."""
     rows = [(name, row) for name, records in flights.items() for row in records if row["message"] and "rule" not in row]
     # A rule without a source is about all of its message: if one has no name, then no one is judged apart.
     nameless = {row["message"] for _, row in rows if "rate" in row and not row["source"]}
     found = defaultdict(list)
     for name, row in rows:
-        message, seen = row["message"], {}
+        message, seen = row["message"], dict[str, tuple[Any, Any]]()
         source = "" if "spread" in row or message in nameless else row["source"]
         if row.get("spread"):  # of values that never differed, their ranges say it
             seen = {f"{row['field']}.spread": (row["spread"], row["spread"])}
         elif "rate" in row:
-            seen = {"rate": (row["rate"], row["rate"]), "gap": (row["gap_max"], row["gap_max"])}
+            for measure, value in (("rate", row["rate"]), ("gap", row["gap_max"])):
+                # A field of the user's may have this name.
+                seen[f"{measure}.messages" if measure in row["values"] else measure] = value, value
             for field, value in row["values"].items():
-                seen |= {field: (value["min"], value["max"]), f"{field}.mean": (value["mean"], value["mean"])}
+                seen[f"{field}.numbers"] = value["min"], value["max"]
+                seen[f"{field}.mean"] = value["mean"], value["mean"]
         for what, (low, high) in seen.items():
             if low is not None:
                 found[source, f"{message}.{what}"].append((Decimal(low), Decimal(high), name))
@@ -102,15 +107,14 @@ def _extremes(flights: dict[str, list[Record]]) -> dict[tuple[str, str], list[Ex
 
 def _rule(source: str, what: str, found: list[Extreme], covered: list[Extreme], margin: Decimal) -> Rule:
     """Return the rule of what was found. covered: what the margin is a share of."""
-    kind = what.rpartition(".")[2]
-    from_zero = kind in ("rate", "gap", "spread")
+    measure = what.removesuffix(".messages").rpartition(".")[2]
+    from_zero = measure in ("rate", "gap", "spread")
     share = margin * (max(high for _, high, _ in covered) - (0 if from_zero else min(low for low, _, _ in covered)))
     top, highest = _limit([(high, name) for _, high, name in found], share, margin, 1)
     bottom, lowest = _limit([(low, name) for low, _, name in found], share, margin, -1)
-    if kind in ("gap", "spread"):
+    if measure in ("gap", "spread"):
         return Rule(source, f"{what}={top}", highest)
-    name = what if kind in ("rate", "mean") else f"{what}.numbers"
-    return Rule(source, f"{name}={bottom}..{top}", f"{lowest}, {highest}")
+    return Rule(source, f"{what}={bottom}..{top}", f"{lowest}, {highest}")
 
 
 def _limit(ends: list[tuple[Decimal, str]], share: Decimal, margin: Decimal, sign: int) -> tuple[str, str]:
@@ -150,12 +154,12 @@ def _counted(flights: dict[str, list[Record]], margin: Decimal) -> list[Rule]:
 def _reserved(extremes: dict[tuple[str, str], list[Extreme]], fields: Record) -> list[Rule]:
     """Return a rule for each compressed float, that none of its values is reserved."""
     floats = {
-        f"{message}.{column['name'].removesuffix('_special')}"
+        f"{message}.{column['name'].removesuffix('_special')}.numbers"
         for message, entry in fields["messages"].items()
         for column in entry["columns"]
         if column["name"].endswith("_special")
     }
-    return [Rule(source, f"{what}.reserved=0") for source, what in extremes if what in floats]
+    return [Rule(source, f"{what.removesuffix('.numbers')}.reserved=0") for source, what in extremes if what in floats]
 
 
 def _learn_share(rule: Rule, margin: Decimal) -> bool:
