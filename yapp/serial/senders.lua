@@ -104,6 +104,10 @@ end
 
 -- Datagrams in the bytes of a file ----------------------------------------------------------------
 
+local function ipv4_text(bytes)
+  return ("%d.%d.%d.%d"):format(byte(bytes, 1, 4))
+end
+
 -- Return an IPv6 address as Wireshark writes it.
 local function ipv6_text(bytes)
   local groups, best, length = {}, nil, 1
@@ -123,26 +127,27 @@ local function u16(bytes, index)
   return a * 256 + b
 end
 
-local function ipv4_text(bytes, index)
-  return ("%d.%d.%d.%d"):format(byte(bytes, index, index + 3))
-end
-
--- Return the addresses of the IP header in front of an UDP or TCP header: of the sender and of the
--- receiver, and the index behind the packet; nil if there is none.
+-- Return the addresses of the IP header in front of an UDP or TCP header: the bytes of the sender's
+-- and of the receiver's; and the index behind the packet.  Return nil if there is none.
 -- index  of the UDP or TCP header
 local function addresses_before(bytes, index, protocol)
   local v4, v6 = index - 20, index - 40
   if v4 > 0 and byte(bytes, v4) == 0x45 and byte(bytes, v4 + 9) == protocol then
-    return ipv4_text(bytes, v4 + 12), ipv4_text(bytes, v4 + 16), v4 + u16(bytes, v4 + 2)
+    return sub(bytes, v4 + 12, v4 + 19), v4 + u16(bytes, v4 + 2)
   end
   local version = v6 > 0 and byte(bytes, v6) or 0
   local is_v6 = version - version % 16 == 0x60 and byte(bytes, v6 + 6) == protocol
   -- Bytes of another packet may look like that: of 4,000 packets one does.
   local length = is_v6 and u16(bytes, v6 + 4)
-  if is_v6 and length <= MAX_LENGTH then
-    local from, to = ipv6_text(sub(bytes, v6 + 8, v6 + 23)), ipv6_text(sub(bytes, v6 + 24, v6 + 39))
-    return from, to, index + length
-  end
+  if is_v6 and length <= MAX_LENGTH then return sub(bytes, v6 + 8, v6 + 39), index + length end
+end
+
+-- Return the addresses of the sender and of the receiver as Wireshark writes them.
+-- addresses  of addresses_before
+local function texts_of(addresses)
+  local half = #addresses / 2
+  local text = half == 4 and ipv4_text or ipv6_text
+  return text(sub(addresses, 1, half)), text(sub(addresses, half + 1))
 end
 
 -- Return an iterator over the starts of what may be frames.
@@ -163,10 +168,11 @@ end
 --- Note the datagrams in the first bytes of a file, whatever carries them: those that begin with a
 -- frame.  So a sender has its name from its first message on.
 function Senders:scan(bytes)
+  local senders = memo(texts_of) -- [addresses] = that of the sender
   for start in frames_in(bytes, frame.is_plausible) do
     local index = start - UDP_HEADER
-    local address = addresses_before(bytes, index, UDP)
-    if address then self:note(address, u16(bytes, index), 0) end
+    local addresses = addresses_before(bytes, index, UDP)
+    if addresses then self:note(senders[addresses], u16(bytes, index), 0) end
   end
   for address, sender in pairs(self.by_address) do
     self.is_changing[address] = takes_new_ports(sender, MIN_PORTS) or nil
@@ -201,13 +207,21 @@ local function first_payload(bytes, start)
   return is_inside and to <= #bytes and sub(bytes, from, to) or nil
 end
 
--- Return the conversation of a packet that begins with a frame, see M.conversations; nil for none.
+-- Return what all packets of one direction of a conversation have: bytes of the headers in
+-- front of a frame, and the addresses in them; nil if no packet begins with the frame.
 -- row  of BEFORE: which header the frame may have in front of it
-local function conversation_of(bytes, start, row)
-  local is_tcp, index = row[1] == TCP, start - row[2]
+local function key_before(bytes, start, row)
+  local index = start - row[2]
   if index < 1 or not is_of_data(bytes, index, row) then return nil end
-  local address, to, stop = addresses_before(bytes, index, row[1])
-  if not address or not is_header_of(bytes, start, stop) then return nil end
+  local addresses, stop = addresses_before(bytes, index, row[1])
+  if not addresses or not is_header_of(bytes, start, stop) then return nil end
+  return row[1] .. addresses .. sub(bytes, index, index + 3), addresses
+end
+
+-- Make a conversation, see M.conversations, from the packet that begins with its first frame.
+local function new_conversation(bytes, start, row, addresses)
+  local is_tcp, index = row[1] == TCP, start - row[2]
+  local address, to = texts_of(addresses)
   local port, to_port = u16(bytes, index), u16(bytes, index + 2)
   return {
     is_tcp = is_tcp,
@@ -233,12 +247,16 @@ end
 function M.conversations(bytes, count)
   local list, by_key = {}, {}
   for start in frames_in(bytes, frame.has_id, count) do
+    local id = frame.parse(bytes, start)
     for _, row in ipairs(BEFORE) do
-      local one, id = conversation_of(bytes, start, row), frame.parse(bytes, start)
-      if one and id then
-        local key = table.concat({ row[1], one.from, one.to }, " ")
-        if not by_key[key] then list[#list + 1], by_key[key] = one, one end
-        by_key[key].ids[id] = true
+      local key, addresses = key_before(bytes, start, row)
+      if key and id then
+        local one = by_key[key]
+        if not one then
+          one = new_conversation(bytes, start, row, addresses)
+          list[#list + 1], by_key[key] = one, one
+        end
+        one.ids[id] = true
       end
     end
   end
