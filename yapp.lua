@@ -377,7 +377,7 @@ local function read_preferences()
   local by_id, clashes = compiler.assign(catalogue, chosen)
   local sources, unread = source_names.parse(prefs.sources, catalogue)
   local late, no_number = preferences.late(prefs.late)
-  local link_types = preferences.take_link_types(prefs.user_dlt, serial)
+  local link_types = preferences.register_link_types(prefs.user_dlt, serial)
   local wrong = joined(clashes, unread, no_number, link_types)
   preferences.complain_once(wrong)
   local hidden = { source = prefs.hide_source, values = prefs.hide_values }

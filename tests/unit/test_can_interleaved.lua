@@ -55,9 +55,9 @@ function T.test_few_anomalies_may_be_withdrawn()
   } do
     local known, noted, open = words.new(), {}, 0
     local reassembly = known.reassembly
-    local note = reassembly.note
-    function reassembly.note(...)
-      noted[#noted + 1] = note(...)
+    local add_anomaly = reassembly.add_anomaly
+    function reassembly.add_anomaly(...)
+      noted[#noted + 1] = add_anomaly(...)
       return noted[#noted]
     end
     words.visits(known, words.frames(text, {}))

@@ -87,7 +87,7 @@ function T.test_a_problem_is_said_in_tshark()
 end
 
 function T.test_link_types()
-  local take = require("yapp.host.preferences").take_link_types
+  local take = require("yapp.host.preferences").register_link_types
   local links = tables.wtap_encap or {}
   tables.wtap_encap = links
   links[46] = "the user's table"

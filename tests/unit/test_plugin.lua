@@ -122,7 +122,7 @@ function T.setUp()
   said = {
     ["preferences.range"] = function(text) return text and { tonumber(text) } or {} end,
     ["preferences.late"] = function(text) return tonumber(text), {} end,
-    ["preferences.take_link_types"] = function() return {} end,
+    ["preferences.register_link_types"] = function() return {} end,
     ["preferences.define"] = function(proto, catalogue)
       seen.catalogue = catalogue
       for name, value in pairs(DEFAULTS) do proto.prefs[name] = value end
@@ -415,7 +415,7 @@ end
 
 function T.test_wishes_that_were_not_met()
   said["preferences.late"] = function() return 2.5, { "late" } end
-  said["preferences.take_link_types"] = function() return { "link types" } end
+  said["preferences.register_link_types"] = function() return { "link types" } end
   open(true, function(prefs) prefs.messages, prefs.motor_ids, prefs.sources = "/own.lua", "0", "x" end)
   local problems = seen.made.taps[1].settings.problems
   lu.assertEquals(#problems, 5)

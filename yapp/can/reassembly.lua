@@ -62,14 +62,14 @@ function M.new(can_judge, on_unknown)
   }, Reassembly)
 end
 
---- Note that something is wrong at the newest frame.
+--- Add what is wrong at the newest frame.
 -- message    the one that is lost by it, or nil
 -- text, ...  as for string.format
 -- returns    an anomaly: { expert = name of an expert item, text, lost = key of the Start of the
 --            message that is lost, or nil, is_open = whether it may still be withdrawn,
 --            is_withdrawn = whether a later frame has proved that nothing is wrong; is_copy =
 --            whether a recorder holds the frame twice, so nothing is lost }
-function Reassembly:note(expert, message, text, ...)
+function Reassembly:add_anomaly(expert, message, text, ...)
   -- The others are nil until they are set: that halves the memory.
   local anomaly = { expert = expert, text = text:format(...), lost = message and message[1] }
   if not self.anomalies then self.anomalies = {} end
@@ -90,21 +90,21 @@ local function is_repeated_end(self, frame)
   return length > 0 and frame.data:sub(1, length) == message.payload:sub(-length)
 end
 
---- Note that the message of a Middle or End is not known.
+--- Add that the message of a Middle or End is not known.
 function Reassembly:orphan(frame)
   local name = can_id.CTRL_NAMES[frame.can_id.ctrl]
-  local anomaly = self:note("fragment.orphan", nil, "%s fragment: no Start captured", name)
+  local anomaly = self:add_anomaly("fragment.orphan", nil, "%s fragment: no Start captured", name)
   anomaly.is_copy = is_repeated_end(self, frame) or nil
   return anomaly
 end
 
---- Note that a message has more or fewer bytes than its size.
+--- Add that a message has more or fewer bytes than its size.
 -- returns  its status
 function Reassembly:misfit(message, received)
   local status = received < message.size and "incomplete" or "overrun"
   message.received = received
-  self:note("fragment." .. status, message, MISFIT[status], frame_key.number(message[1]), received,
-    message.size)
+  self:add_anomaly("fragment." .. status, message, MISFIT[status], frame_key.number(message[1]),
+    received, message.size)
   return status
 end
 
@@ -177,7 +177,7 @@ local function make_room(self)
     for _, message in ipairs(open_in(self, slot)) do self:give_up(message) end
     close(self, slot)
   end
-  self:note("fragment.incomplete", nil,
+  self:add_anomaly("fragment.incomplete", nil,
     "%d messages are open: the oldest %d are given up", #list, count)
 end
 
@@ -206,7 +206,7 @@ local function supersede(self, frame)
   local newest, anomaly = list[#list], nil
   local chunks = newest.chunks
   if not newest.status then
-    anomaly = self:note("fragment.incomplete", newest,
+    anomaly = self:add_anomaly("fragment.incomplete", newest,
       "A new Start supersedes the message that started in frame %d: %d of %d bytes came",
       frame_key.number(newest[1]), chunks and chunks.received or open:received(newest), newest.size)
     anomaly.is_copy = is_repeated_start(self, newest, frame) or nil
@@ -229,16 +229,17 @@ local function check_start(self, frame, size, reserved)
   local known, least, length = frame.source.size, frame.source.min_size, frame.reported
   if length ~= 8 then
     local expert = length > 8 and "size.mismatch" or "fragment.incomplete"
-    self:note(expert, nil, "A Start has 8 bytes, this one has %d", length)
+    self:add_anomaly(expert, nil, "A Start has 8 bytes, this one has %d", length)
   end
   if not reserved then return end
   if size == 0 then
-    self:note("size.mismatch", nil, "The size of the message is 0")
+    self:add_anomaly("size.mismatch", nil, "The size of the message is 0")
   elseif known and (size > known or size < least) then
-    self:note("size.mismatch", nil, "The size is %d bytes, the catalogue says %d", size, known)
+    local text = "The size is %d bytes, the catalogue says %d"
+    self:add_anomaly("size.mismatch", nil, text, size, known)
   end
   if reserved ~= 0 then
-    self:note("reserved.nonzero", nil, "The reserved bytes are 0x%04x, not 0", reserved)
+    self:add_anomaly("reserved.nonzero", nil, "The reserved bytes are 0x%04x, not 0", reserved)
   end
 end
 
@@ -364,7 +365,7 @@ end
 
 local function undefined(self, frame)
   if not frame.accepts_all then return nil end
-  self:note("can.ctrl.invalid", nil, "CAN CTRL is %d; 0 to 3 are defined", frame.can_id.ctrl)
+  self:add_anomaly("can.ctrl.invalid", nil, "CAN CTRL is %d; 0 to 3 are defined", frame.can_id.ctrl)
   return "other"
 end
 

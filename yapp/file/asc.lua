@@ -181,7 +181,7 @@ local NO_DATE = "no such date: times count from the date before, or from 0. Corr
   '"Tue Nov 14 22:13:20.001 2023"'
 
 -- Take the date of a line, if it has one.
-local function take_date(log, line)
+local function set_date(log, line)
   for name, pattern in pairs(DATES) do
     local written = line:match(pattern)
     local date = written and read_date(written)
@@ -191,7 +191,7 @@ end
 
 -- Take the time in front of a line: log.clock is the time of its frame.  A block of a log says when
 -- it began: python-can counts from there, CANoe from the date of the file.
-local function take_stamp(log, line, stamp)
+local function set_clock(log, line, stamp)
   if log.began then
     local date = log.date or 0
     local is_since_date = math.abs(date + stamp - log.began) < 2 * SECOND
@@ -213,8 +213,8 @@ local function read_record(log, line, offset)
   local record, stamp, why = M.parse(line, log.base)
   if not offset then return record end
   if why then log:lose(line, why) end
-  if not stamp then return take_date(log, line) end
-  take_stamp(log, line, stamp)
+  if not stamp then return set_date(log, line) end
+  set_clock(log, line, stamp)
   if record then
     local number = record.bus
     log.buses[number] = log.buses[number] or { number = number, name = "CAN-" .. number }

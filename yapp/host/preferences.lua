@@ -124,7 +124,7 @@ local before_us = {} -- [encapsulation] = its dissector before it was ours, or f
 -- text     of the preference
 -- proto    of the serial dissector
 -- returns  a list of errors
-function M.take_link_types(text, proto)
+function M.register_link_types(text, proto)
   local encapsulations = DissectorTable.get("wtap_encap")
   local wanted, other = {}, nil
   for _, dlt in ipairs(M.range(text)) do

@@ -37,7 +37,7 @@ local faults_of = memo(function(field)
 end)
 
 -- Return the fault of a flag that is set, and the list without it; nil and a copy for none.
-local function take_out(set, flag)
+local function remove_fault(set, flag)
   local others, found = {}, nil
   for _, fault in ipairs(set) do
     if fault.flag == flag then found = fault else others[#others + 1] = fault end
@@ -52,7 +52,7 @@ local function update_field(self, change, time, steps)
   for _, flag in ipairs(faults_of[field]) do
     local is_set = band(now, flag.mask) ~= 0
     if is_set ~= (band(before, flag.mask) ~= 0) then
-      local fault, set = take_out(self.set, flag)
+      local fault, set = remove_fault(self.set, flag)
       fault = fault or { field = field.name, flag = flag, time = time, incident = self.incident }
       if is_set then set[#set + 1] = fault end
       self.set = set

@@ -209,24 +209,26 @@ end
 
 -- Append a remark.
 -- lacks_meaning  whether the catalogue does not define the value
-local function note(remarks, field, expert, lacks_meaning)
+local function add_remark(remarks, field, expert, lacks_meaning)
   remarks[#remarks + 1] = { field.index, expert, lacks_meaning }
 end
 
 local function remark_code(field, _, remarks)
-  note(remarks, field, field.invalid, true)
+  add_remark(remarks, field, field.invalid, true)
 end
 
 local function remark_special(field, _, remarks)
-  note(remarks, field, "value.special", false)
+  add_remark(remarks, field, "value.special", false)
 end
 
 local function remark_flags(field, raw, remarks)
   if bits.band(raw, field.alarm_bits) ~= 0 then
-    note(remarks, field, "fault.active", false)
+    add_remark(remarks, field, "fault.active", false)
     remarks.has_fault = true
   end
-  if bits.band(raw, field.undefined) ~= 0 then note(remarks, field, "flags.undefined", true) end
+  if bits.band(raw, field.undefined) ~= 0 then
+    add_remark(remarks, field, "flags.undefined", true)
+  end
 end
 
 -- The condition of each as source, in which a is the raw value and FIELDS[i] the field:

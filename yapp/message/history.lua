@@ -109,7 +109,7 @@ local function clock_of(message)
 end
 
 -- Add evidence if the clock is back where it would be without a fall.
-local function note_return(source)
+local function add_evidence(source)
   for i, fall in ipairs(source.falls) do
     if math.abs(source.lead - fall.lead) <= math.min(fall.size, LARGE_FALL) / 4 then
       source.evidence = source.evidence + (fall.size < LARGE_FALL and 1 or LARGE_RETURN)
@@ -132,7 +132,7 @@ local function is_shared(source, message, advance, elapsed)
   source.lead = lead - size
   source.evidence = source.evidence * FADE
   if advance > 0 then
-    note_return(source)
+    add_evidence(source)
     return false
   elseif advance == 0 then
     if elapsed >= source.period / 3 then return false end
@@ -267,8 +267,8 @@ end
 -- stat.kinds (its event) and a row of show.fields (its expert item).
 local DETECTORS = { detect_clock, detect_flags, detect_faults, detect_missing, detect_late }
 
--- Note a message whose change a shared source may explain.
-local function note_doubt(source, key, change)
+-- Mark a message whose change a shared source may explain.
+local function mark_doubtful(source, key, change)
   if not (change.reboot or change.jump or change.stale or change.late) then return end
   if source.count - source.doubtful_count > MAX_CALM then source.doubtful_key = key end
   source.doubtful_count = source.count
@@ -290,7 +290,7 @@ local function update(source, message, delta)
     source.shared_key = key
     change = { shared = source.doubtful_key or key, unreliable = true }
   elseif change then
-    note_doubt(source, key, change)
+    mark_doubtful(source, key, change)
   end
   if change or source.changes[key] then source.changes[key] = change end
   return change

@@ -49,7 +49,7 @@ end
 
 -- Take a part apart at its "=".
 -- returns  the bus or nil, the text of the IDs or nil, and the text behind the "="
-local function take_address(part)
+local function split_part(part)
   local address, value = part:match("^(.-)%s*=(.*)$")
   demand(address, 'no "="', SHAPE)
   value = reveal(value)
@@ -85,7 +85,7 @@ local function read_ids(text)
 end
 
 -- Return the names of the IDs of each range, M1..M4 for four; nil for a name without "..".
-local function take_names(name, ranges)
+local function expand_names(name, ranges)
   local stem, first, other, last = name:match("^(.-)(%d+)%.%.(.-)(%d+)$")
   if not stem or stem ~= other or #last > 4 then return nil end
   local names, shape = {}, "%s%0" .. #first .. "d" -- M08..M11 are M08, M09, M10, M11
@@ -118,7 +118,7 @@ end
 -- returns  the bus, the ranges of IDs, the compiled message and the name: nil for each that it does
 --          not say
 local function read_part(part, catalogue)
-  local bus, id_text, value = take_address(part)
+  local bus, id_text, value = split_part(part)
   local ids = id_text and read_ids(id_text)
   local message_name, name = value:match("^(.-):(.*)$")
   name = trim(name or value)
@@ -148,7 +148,7 @@ end
 -- Add the rows of a part; raise if an earlier part has one.
 local function add_part(self, part, catalogue)
   local bus, ranges, message, name = read_part(part, catalogue)
-  local names, is_repeated = ranges and take_names(name or "", ranges), false
+  local names, is_repeated = ranges and expand_names(name or "", ranges), false
   bus = bus and check_address(bus)
   if not ranges then is_repeated = add_row(self, bus, nil, nil, name) end
   for _, range in ipairs(ranges or {}) do

@@ -143,8 +143,8 @@ local function emit_fault(self, cause, fault, event)
   })
 end
 
--- Note the faults that rise or fall with a message.
-local function note_faults(self, state, cause, faults)
+-- Emit the faults that rise or fall with a message.
+local function emit_faults(self, state, cause, faults)
   state.faults = faults.set
   for _, step in ipairs(faults) do
     local fault, is_raised = step.fault, step.is_raised
@@ -193,7 +193,7 @@ local function note_unreliable(self, event, shared)
 end
 
 -- Emit the events of a message that counts, but for its faults.
-local function note_events(self, state, event, change)
+local function emit_changes(self, state, event, change)
   for _, row in ipairs(kinds.LIST) do
     local key, value = row.change, change[row.name]
     if key and value then
@@ -215,8 +215,8 @@ local function missing_between(state, from, to)
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
 end
 
--- Note what a message says of those before it: a silence, or that they were of two controllers.
-local function note_past(self, state, event, change)
+-- Emit what a message says of those before it: a silence, or that they were of two controllers.
+local function emit_past(self, state, event, change)
   if change.shared then end_held(self, state, frame_key.number(change.shared)) end
   if change.late and state.is_counted then
     local values = { length = output.seconds(change.late) }
@@ -224,18 +224,18 @@ local function note_past(self, state, event, change)
   end
 end
 
-local function note_message(self, event, is_counted, capture_now)
+local function update_state(self, event, is_counted, capture_now)
   local state, values = self.by_source[event.source], event.values
   local change = values.change or NOTHING
   if state.is_counted and not values.is_unreliable then
     local missing = missing_between(state, state.last_at, self.now)
     state.missing_by_period = state.missing_by_period + missing
   end
-  if change ~= NOTHING then note_past(self, state, event, change) end
+  if change ~= NOTHING then emit_past(self, state, event, change) end
   state.last, state.last_at, state.is_counted = event, self.now, is_counted
   state.ahead = capture_now - self.now
-  if is_counted and values ~= NOTHING then note_events(self, state, event, change) end
-  if change.faults then note_faults(self, state, event, change.faults) end
+  if is_counted and values ~= NOTHING then emit_changes(self, state, event, change) end
+  if change.faults then emit_faults(self, state, event, change.faults) end
   if is_counted and not values.is_unreliable then
     state.is_numbered = state.is_numbered or event.seq ~= (state.counted.seq or event.seq)
     state.counted, state.counted_at, state.counted_faults = event, self.now, state.faults
@@ -243,30 +243,30 @@ local function note_message(self, event, is_counted, capture_now)
 end
 
 -- Count a message that has copies, once for all of them.
-local function note_copy(self, event)
+local function count_copy(self, event)
   local source, original = event.source, event.values.of
   if self.originals[source] ~= original then self.copies = self.copies + 1 end
   self.originals[source] = original
 end
 
---- Take an event, in the order of the capture.  If the filter does not let it count, it still
--- updates the states.
+--- Derive events from one, in the order of the capture.  If the filter does not let it count, it
+-- still updates the states.
 -- now          seconds of the capture, see above
 -- capture_now  the same by the stamps of all sources, which may be those of another recorder
-function Deriver:take(event, now, capture_now)
+function Deriver:derive(event, now, capture_now)
   local is_counted, is_message = lets_count(self, event), event.kind == "message"
   self.now = now
   if is_counted then
     self.came[event.source] = true
-    if event.kind == "copies" then note_copy(self, event) end
+    if event.kind == "copies" then count_copy(self, event) end
     local size = is_message and event.values.size
     if size then
       local rest = event.values.undecoded
-      emit(self, "unknown", event, self.undecoded:note(event.source, size, rest))
+      emit(self, "unknown", event, self.undecoded:count(event.source, size, rest))
     end
   end
   if is_message and not self.statistic.wants_messages_only then
-    note_message(self, event, is_counted, capture_now)
+    update_state(self, event, is_counted, capture_now)
   end
   if is_counted then self:add(event) end
 end
@@ -277,7 +277,7 @@ end
 local function end_undissected(self, ending)
   for _, event in ipairs(ending.undissected) do
     if lets_count(self, event) then
-      local values = self.undecoded:note(event.source, event.values.size)
+      local values = self.undecoded:count(event.source, event.values.size)
       if not ending.reason then emit(self, "unknown", event, values) end
     end
   end

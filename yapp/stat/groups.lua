@@ -36,7 +36,7 @@ local function new_values(want, spread)
   return {
     field = field,
     index = field.index or false, -- a derived value has none
-    -- The highest raw value that is a number, where raw values are gathered: see note_values.
+    -- The highest raw value that is a number, where raw values are gathered: see add_values.
     ordinary = not is_judged and field_kinds.linear_top(field) or false,
     low = want.low or -INFINITE,
     high = want.high or INFINITE,
@@ -54,7 +54,7 @@ local function new_values(want, spread)
   }
 end
 
-local function note_value(values, value, frame)
+local function add_value(values, value, frame)
   values.seen = values.seen + 1
   if value == value then
     values.count = values.count + 1
@@ -75,10 +75,10 @@ local function note_value(values, value, frame)
   end
 end
 
--- Note how far the latest values of all sources lie apart: the largest spread so far, and the event
+-- Find how far the latest values of all sources lie apart: the largest spread so far, and the event
 -- that shows it.  Needs values of two sources at one time.
 -- longest  seconds for which a value stays valid
-local function note_spread(values, value, event, now, longest)
+local function update_spread(values, value, event, now, longest)
   local spread, low, high, count = values.spread, INFINITE, -INFINITE, 0
   values.latest, values.latest_at = rounded(values.field, value or NO_NUMBER), now
   for _, one in ipairs(spread.members) do
@@ -192,9 +192,9 @@ local function add(group, kind, event, cause, amount)
   count.cause = cause
 end
 
--- Note the raw value of a field whose numbers grow with it: M.row works out the numbers of the
+-- Add the raw value of a field whose numbers grow with it: M.row works out the numbers of the
 -- least, the sum and the largest.  This halves the time of a summary's values.
-local function note_raw(values, raw)
+local function add_raw(values, raw)
   values.seen = values.seen + 1
   if raw > values.ordinary then return end
   values.count = values.count + 1
@@ -203,22 +203,22 @@ local function note_raw(values, raw)
   if raw > values.max then values.max = raw end
 end
 
-local function note_values(self, group, event, now)
+local function add_values(self, group, event, now)
   local every, raws = group.message.every, event.raws
   local longest = every and self.context.settings.late * every or INFINITE
   for _, values in ipairs(group.values) do
     if values.ordinary then
       local raw = raws[values.index]
-      if raw then note_raw(values, raw) end
+      if raw then add_raw(values, raw) end
     else
       local value = number_of(values, raws)
-      if value then note_value(values, value, event.frame) end
-      if values.spread then note_spread(values, value, event, now, longest) end
+      if value then add_value(values, value, event.frame) end
+      if values.spread then update_spread(values, value, event, now, longest) end
     end
   end
 end
 
-local function note_message(self, event, now)
+local function add_message(self, event, now)
   local group, frame = self.by_source[event.source], event.frame
   if group.last then
     local gap = span(group.last, now)
@@ -231,14 +231,14 @@ local function note_message(self, event, now)
   group.is_unreliable = group.is_unreliable or event.values.is_unreliable
   if not event.raws then return end
   group.decoded = group.decoded + 1
-  note_values(self, group, event, now)
+  add_values(self, group, event, now)
 end
 
 --- Take an event, see stat.derive.  Of faults those that rose count.
 function Groups:event(event, now, cause)
   local kind, values = event.kind, event.values
   local row = kinds.BY_NAME[kind]
-  if not row then return note_message(self, event, now) end
+  if not row then return add_message(self, event, now) end
   if kind == "fault" and values.event ~= "raised" then
     return
   end

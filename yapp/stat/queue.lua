@@ -13,7 +13,7 @@ local output = require "yapp.stat.output"
 
 local M = {}
 
-local MAX_LOSSES = 1000 -- look through the waiting losses when they are more, see hand_on_losses
+local MAX_LOSSES = 1000 -- look through the waiting losses when they are more, see deliver_losses
 local SEARCH_PREFERENCES = "yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first, " ..
   "-d tcp.port==PORT,yapp_serial, in Wireshark also yapp.search_all" -- tshark searches all
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
@@ -46,7 +46,7 @@ function Queue:reset()
   self.waiting = {}
   self.last = nil -- time of the latest packet
   self.now = 0 -- the same without the steps back of the capture's clock
-  self.sure = 0 -- the same of the latest message, if there are several recorders, see note_time
+  self.sure = 0 -- the same of the latest message, if there are several recorders, see update_time
   self.offsets = { 0 } -- seconds that recorders are behind, that of the latest packet first
   self.guessed = 0 -- of these that of the latest packet of no message
   self.latest = 0 -- its number
@@ -54,7 +54,7 @@ function Queue:reset()
   self.packets = 0
   self.clocks = {} -- by source, see time_of
   self:begins(0, 0, 0) -- until a time is known, if ever
-  self.losses, self.max_losses = {}, MAX_LOSSES -- events that wait, see hand_on_losses
+  self.losses, self.max_losses = {}, MAX_LOSSES -- events that wait, see deliver_losses
   self.seen = {} -- [value that all losses of one message share] = true once one was handed on
   self.undissected = {} -- events, see Queue:add_undissected: they count if messages are dissected
   self.has_messages = false
@@ -119,7 +119,7 @@ local function guess_offset(self, rel, step)
 end
 
 -- Put the offset of a recorder first.
-local function note_offset(self, offset)
+local function put_offset_first(self, offset)
   local offsets = self.offsets
   for i, other in ipairs(offsets) do
     if abs(offset - other) <= MAX_APART then
@@ -131,14 +131,14 @@ local function note_offset(self, offset)
   offsets[MAX_RECORDERS + 1] = nil
 end
 
--- Note the time of a packet.  The stamps of several recorders may alternate: the clock of each is
--- some seconds behind the time that went by:
+-- Work out the time of a packet.  The stamps of several recorders may alternate: the clock of each
+-- is some seconds behind the time that went by:
 --   stamps     10.0  3.8   10.1  3.9   10.2    the second recorder is 6.2 s behind
 --   went by    10.0  10.0  10.1  10.1  10.2
 -- Each source has one recorder.  A packet of no source may be of any recorder, also of an unknown
 -- one: the next message shows by how much the guess was wrong.
 -- event  of the packet, nil for none
-local function note_time(self, rel, step, event)
+local function update_time(self, rel, step, event)
   local clock = event and self.clocks[event.source]
   if not self.offsets[2] then self.sure = self.now end
   if clock then clock.offset = clock.offset + fall_of(max(0, self.sure - rel - clock.offset)) end
@@ -146,20 +146,20 @@ local function note_time(self, rel, step, event)
   if event then
     self.sure = max(self.sure, rel + offset)
     local excess = self.now - self.sure
-    if excess > MAX_APART then note_offset(self, self.guessed - excess) end
+    if excess > MAX_APART then put_offset_first(self, self.guessed - excess) end
     self.now = self.sure
   else
     self.now, self.guessed = max(self.now, rel + offset), offset
   end
-  note_offset(self, offset)
+  put_offset_first(self, offset)
 end
 
-local function hand_on(self, event)
+local function deliver(self, event)
   local now = time_of(self, event)
   event.rel = now
   if event.source.id then self.has_messages = true end
   for _, deriver in ipairs(self.derivers) do
-    deriver:take(event, now, self.now)
+    deriver:derive(event, now, self.now)
   end
 end
 
@@ -167,7 +167,7 @@ end
 -- withdrawn wait.  They are few, so all losses wait until they are twice as many: it costs little
 -- to look at them then.
 -- is_end  whether none of them will be withdrawn any more
-local function hand_on_losses(self, is_end)
+local function deliver_losses(self, is_end)
   local losses, seen = self.losses, self.seen
   self.losses = {}
   for _, event in ipairs(losses) do
@@ -177,18 +177,18 @@ local function hand_on_losses(self, is_end)
     elseif not (anomaly.is_withdrawn or seen[lost or false]) then
       if lost then seen[lost] = true end
       event.values = event.values.shown
-      hand_on(self, event)
+      deliver(self, event)
     end
   end
   self.max_losses = max(MAX_LOSSES, 2 * #self.losses)
 end
 
-local function take(self, event)
+local function deliver_or_wait(self, event)
   if event.values.anomaly then
     self.losses[#self.losses + 1] = event
-    if #self.losses > self.max_losses then hand_on_losses(self) end
+    if #self.losses > self.max_losses then deliver_losses(self) end
   else
-    hand_on(self, event)
+    deliver(self, event)
   end
 end
 
@@ -197,7 +197,7 @@ local function flush(self)
   if not waiting[1] then return end
   for i, event in ipairs(waiting) do
     waiting[i] = nil
-    take(self, event)
+    deliver_or_wait(self, event)
   end
 end
 
@@ -207,7 +207,7 @@ function Queue:offer(event, visited)
   -- An event of an earlier packet is of a conversation that was unknown when that came.
   if self.is_direct or event.frame <= self.latest then
     flush(self)
-    return take(self, event)
+    return deliver_or_wait(self, event)
   end
   if event.frame ~= self.number or visited ~= self.visited then
     self.number, self.visited, self.offered = event.frame, visited, {}
@@ -252,9 +252,9 @@ function Queue:go_direct()
   return true
 end
 
--- Note a packet whose time goes back, or one of several recorders.
-local function note_step(self, number, rel, step, event)
-  note_time(self, rel, step, event)
+-- Report a packet whose time goes back, or one of several recorders.
+local function report_step(self, number, rel, step, event)
+  update_time(self, rel, step, event)
   if step >= -MAX_STEP then return end
   local values = { length = output.seconds(step), back = output.seconds(-step) }
   local clock = kinds.event("clock", number, rel, {}, values)
@@ -276,7 +276,7 @@ function Queue:packet(number, rel, lacks_clock)
   if rel >= last and not self.offsets[2] or lacks_clock() then
     self.now = rel + self.offsets[1]
   else
-    note_step(self, number, rel, kinds.span(last, rel), event)
+    report_step(self, number, rel, kinds.span(last, rel), event)
   end
   if event then self.waiting, self.number = self.offered, nil end
 end
@@ -352,9 +352,9 @@ end
 -- returns  the exit code, and a list of texts to say
 function Queue:finish(capture)
   flush(self)
-  hand_on_losses(self, true)
+  deliver_losses(self, true)
   for _, event in ipairs(capture.unread and {} or capture.unfinished) do
-    hand_on(self, event)
+    deliver(self, event)
   end
   local seconds, nanoseconds = self:clock(0)
   local ending = {

@@ -75,11 +75,11 @@ local function add(self, entry, list)
   end
 end
 
---- Note a message.
+--- Count a message.
 -- source   see stat.kinds
 -- size     of its payload; rest: how many bytes of it were not decoded, nil for all
 -- returns  the values of an `unknown` event: one table for each source and size, whose count grows
-function Undecoded:note(source, size, rest)
+function Undecoded:count(source, size, rest)
   local by_size = self.by_source[source]
   local entry = by_size[size]
   if not entry then
