@@ -47,7 +47,7 @@ def test_another_that_cannot(options, said):
 # The plugin fails --------------------------------------------------------------------------------------------------------
 
 # Where an error is planted: behind the first line of a function.
-PLACES = [("yapp/stat/derive.lua", "function Deriver:take("),  # in taps of packets
+PLACES = [("yapp/stat/derive.lua", "function Deriver:derive("),  # in taps of packets
           ("yapp/stat/queue.lua", "function Queue:packet(number, rel, lacks_clock)")]
 
 
