@@ -46,7 +46,7 @@ PYTHON_NO_STATEMENT = re.compile(r"\s*(?:$|#|def\b|class\b|else\b|try\b|except\b
 # The quickest tests of what no unit test loads: the longest beginning counts.
 SUITES = {
     "yapp.lua": ["tests/e2e/test_preferences.py", "tests/e2e/test_captures.py", "tests/e2e/test_install.py", "tests/e2e/test_buses.py",
-                 "tests/e2e/test_unknown_ids.py"],
+                 "tests/e2e/test_unknown_ids.py", "tests/e2e/test_locale.py"],
     "yapp/": ["tests/e2e/test_captures.py", "tests/e2e/test_experts.py", "tests/e2e/test_statistics.py"],
     "yapp/show/": ["tests/e2e/test_captures.py", "tests/e2e/test_experts.py", "tests/e2e/test_flight_fields.py"],
     "yapp/show/fields.lua": ["tests/e2e/test_experts.py", "tests/e2e/test_captures.py"],

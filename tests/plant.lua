@@ -244,14 +244,15 @@ end
 
 -- Files ------------------------------------------------------------------------------------------
 
--- Of a record that a reader of ours reads the last byte, or the time: by the form of the text.
+-- Of a record that a reader of ours reads the last byte, or the time: by the form of the text, its pattern, and whether
+-- it has no times.
 local FORMS = {
   yapp_asc = { { "hex", "base hex" }, { "dec", "base dec" }, { "FD", "CANFD" }, { "bare", "^%d" } },
   yapp_dump = { { "bytes", "" } },
   yapp_candump = {
     { "log", "^%b() %S+ %x+#%x" }, { "log FD", "^%b() %S+ %x+##" }, { "long", "^%b()  %S+  %x" },
-    { "screen", "^%s*can%d%s+%x+%s+%[8%]%s+%x%x%s" }, { "swapped", "^  can.*%x%x`%x%x`" },
-    { "binary", "^  can.*[01][01][01][01][01][01] " }, { "times", "^ %(%d+%.%d+%)  can" },
+    { "screen", "^%s*can%d%s+%x+%s+%[8%]%s+%x%x%s", true }, { "swapped", "^  can.*%x%x`%x%x`", true },
+    { "binary", "^  can.*[01][01][01][01][01][01] ", true }, { "times", "^ %(%d+%.%d+%)  can" },
     { "dates", "^ %(%d%d%d%d%-" }, { "direction", "^ .-[TR]X [B-] " }, { "colours", "^ *\27" },
   },
 }
@@ -268,7 +269,7 @@ local names = {} -- by handler
 function FileHandler.new(title, short, ...)
   for _, form in ipairs(FORMS[short] or {}) do
     list("file", title_of(short, form[1]))
-    list("stamp", title_of(short, form[1]))
+    if not form[3] then list("stamp", title_of(short, form[1])) end
   end
   local made = new_handler(title, short, ...)
   names[made] = short

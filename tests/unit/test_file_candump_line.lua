@@ -177,6 +177,15 @@ function T.test_damaged_lines_never_fail()
   end
 end
 
+-- Some converters write CAN FD behind one "#": a length that CAN FD alone has says so.
+function T.test_lengths_of_can_fd_behind_one_mark()
+  for length = 9, 64 do
+    local record = candump.parse("(1.000000) can0 08400000#" .. ("1F"):rep(length))
+    local is_there = ("12 16 20 24 32 48 64"):find(("%02d"):format(length), 1, true)
+    lu.assertEquals(record and record.fd and #record.data or nil, is_there and length or nil, length)
+  end
+end
+
 -- Frames of every form come back with their bytes, written as candump's lib.c writes them.
 function T.test_written_frames_come_back()
   local random = random_source(7)

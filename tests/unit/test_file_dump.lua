@@ -93,6 +93,24 @@ function T.test_records_offsets_and_times()
   lu.assertEquals({ log.decimals, log.lacks_clock }, { 9, true })
 end
 
+-- Frames { ID, seconds, tenths of a second } of several clocks: of a controller that rebooted, of others with its ID.
+function T.test_several_clocks()
+  local parts, list = {}, {}
+  for i, row in ipairs { { 1, 100, 0 }, { 2, 0, 0 }, { 2, 2, 9 }, { 3, 3, 0 }, { 4, 0, 0 }, { 4, 0, 8 }, { 3, 3, 5 },
+    { 1, 100, 9 }, { 1, 50, 0 }, { 1, 50, 3 }, { 1, 101, 0 }, { 5, 104, 9 }, { 5, 106, 0 } } do
+    parts[i] = frame(row[1], string.char(row[2], row[3]))
+  end
+  local file = file_of(table.concat(parts))
+  local log = dump.open(file, { new_framer = new_framer, time_of = function(bytes)
+    return bytes:byte(13), bytes:byte(14) * 100000000
+  end })
+  for i = 1, #parts do
+    local record = record_of(log:read(file))
+    list[i] = record.seconds + record.nanoseconds / 1000000000
+  end
+  lu.assertEquals(list, { 100, 100, 102.9, 103, 103, 103.8, 103.8, 103.8, 103.8, 104.1, 104.1, 104.9, 106 })
+end
+
 function T.test_without_a_time_stamp()
   local bad = frame(1, "\9"):sub(1, -2) .. "?"
   assert_records("> " .. frame(2, "a") .. bad, { { "> " }, { frame(2, "a") }, { bad } })
