@@ -269,7 +269,7 @@ end
 
 function T.test_the_beginning_of_a_file()
   local streams, reading = new_streams()
-  local both = { { is_tcp = true, port = 1 }, { is_tcp = false, port = 2 } }
+  local both = { { is_tcp = true, port = 1, client_port = 9 }, { is_tcp = false, port = 2, client_port = 9 } }
   streams:scan("other")
   lu.assertEquals({ seen.scanned, seen.watches, seen.taken }, { "other", 0, {} })
   said.conversations = both

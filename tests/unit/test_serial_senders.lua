@@ -142,6 +142,8 @@ function T.test_options()
   lu.assertEquals(options_of(ipv4(40000) .. ipv4(40001) .. FRAME), { "-d udp.port==14550,yapp_serial" })
   lu.assertEquals(options_of(tcp("\15\161\195\80", "") .. tcp("\195\80\15\162", ("\1"):rep(12))),
     { "-d tcp.port==4001,yapp_serial", "-d tcp.port==4002,yapp_serial" })
+  lu.assertEquals(options_of(ipv4(5) .. ipv4(6)), { "-d udp.port==5,yapp_serial", "-d udp.port==6,yapp_serial" })
+  lu.assertEquals(options_of(ipv4(5) .. ipv4(6) .. ipv4(7)), { "-d udp.port==14550,yapp_serial" }) -- one for all
   lu.assertEquals(options_of("any" .. FRAME), {})
   lu.assertEquals(#senders.conversations(ipv4(40000) .. ipv4(40000) .. ipv4(40001)), 2)
   lu.assertEquals(senders.conversations(ipv4(40000))[1].payload, FRAME:sub(13, -5))

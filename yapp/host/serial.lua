@@ -125,7 +125,8 @@ end
 local function try(self, packet, pinfo)
   local is_found, is_in_pieces, has_failed = self.reading:try_packet(packet)
   local port = math.min(pinfo.src_port, pinfo.dst_port)
-  local one = { is_tcp = packet.is_tcp, port = port }
+  local client_port = math.max(pinfo.src_port, pinfo.dst_port)
+  local one = { is_tcp = packet.is_tcp, port = port, client_port = client_port }
   if is_in_pieces then table.insert(self.in_pieces, one) end
   -- Another protocol that has a port may have taken the first pieces.
   local is_late = has_failed or is_in_pieces and ports.has_other(pinfo)

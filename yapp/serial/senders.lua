@@ -231,6 +231,7 @@ local function new_conversation(bytes, start, row, addresses)
     from_port = port,
     payload = not is_tcp and first_payload(bytes, start) or nil,
     port = math.min(port, to_port),
+    client_port = math.max(port, to_port),
     ids = {},
   }
 end
@@ -242,7 +243,7 @@ end
 --   from, to  the sender and the receiver of the first frame, "address:port" each
 --   address, from_port  of the sender
 --   payload   of this frame, nil if it is not known
---   port      the lower one, which is the server's
+--   port      the lower one, which is usually the server's; client_port = the other one
 --   ids       [ID] = true: of its frames }
 function M.conversations(bytes, count)
   local list, by_key = {}, {}
@@ -277,13 +278,29 @@ function Senders:shared_ids(conversations)
   return shared
 end
 
+-- Count how many conversations have each port: [port] = number, by whether they are of TCP.
+local function count_ports(conversations)
+  local counts = { [true] = {}, [false] = {} }
+  for _, one in ipairs(conversations) do
+    local of_kind = counts[one.is_tcp]
+    for _, port in ipairs { one.port, one.client_port } do
+      of_kind[port] = (of_kind[port] or 0) + 1
+    end
+  end
+  return counts
+end
+
 --- Return the options of tshark that decode conversations: a list of
--- "-d tcp.port==4001,yapp_serial".
+-- "-d tcp.port==4001,yapp_serial".  A higher port that many conversations have is one option for
+-- all, as of three controllers that send to one receiver.
+-- conversations  list of { is_tcp, port = the lower one, client_port = the other one }
 function M.options(conversations)
-  local list, is_there = {}, {}
-  for _, conversation in ipairs(conversations) do
-    local kind = conversation.is_tcp and "tcp" or "udp"
-    local option = ("-d %s.port==%d,yapp_serial"):format(kind, conversation.port)
+  local list, is_there, counts = {}, {}, count_ports(conversations)
+  for _, one in ipairs(conversations) do
+    local of_kind = counts[one.is_tcp]
+    local has_many = of_kind[one.client_port] > of_kind[one.port] + 1
+    local port = has_many and one.client_port or one.port
+    local option = ("-d %s.port==%d,yapp_serial"):format(one.is_tcp and "tcp" or "udp", port)
     if not is_there[option] then list[#list + 1] = option end
     is_there[option] = true
   end
