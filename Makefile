@@ -68,7 +68,7 @@ test-all:
 
 ## The code, and the pages: lengths, plain words, links.  All of its parts run, then it fails
 lint: needs-tests
-	@failed=0; luacheck -q . || failed=1; pytest-3 -q -p no:cacheprovider tests/lint || failed=1; exit $$failed
+	@failed=0; luacheck -q . || failed=1; pytest-3 -q -rs -p no:cacheprovider tests/lint || failed=1; exit $$failed
 
 # Wireshark has Lua 5.2 or 5.4; 5.5, which will come, is tried where it is.
 unit: needs-tests
@@ -111,7 +111,7 @@ blind: needs-tests
 ## The same generators, many more captures: 1,000 CAN captures and 1,000 streams
 soak: needs-tests
 	YAPP_LEVEL=all YAPP_SOAK_CAPTURES=1000 YAPP_SOAK_FRAMES=1000 YAPP_SOAK_STREAMS=1000 \
-	  pytest-3 -q -s -p no:cacheprovider tests/e2e/test_can_soak.py tests/e2e/test_streams.py
+	  pytest-3 -q -s -rs -p no:cacheprovider tests/e2e/test_can_soak.py tests/e2e/test_streams.py
 
 ## Wireshark 4.0, 4.4 and 4.6, in chroots
 matrix:
@@ -186,7 +186,7 @@ test-tools: needs-tools
 	$(TOOLS)/ruff check --config tools/pyproject.toml tools/src tests/tools
 	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools/src tests/tools
 	$(TOOLS)/mypy --config-file tools/pyproject.toml tools/src
-	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider tests/tools
+	$(TOOLS)/python -m pytest -q -rs -n auto --dist loadfile -p no:cacheprovider tests/tools
 
 .PHONY: test-tools needs-tools needs-tools-packages needs-gui needs-all gui gui-smoke plant blind
 
