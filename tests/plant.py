@@ -32,13 +32,14 @@ import tshark  # noqa: E402
 import witnesses  # noqa: E402
 
 CAPTURES = ["tests/e2e/test_captures.py", "-k", "fields_and_info or document_says"]
+ROUNDED = ["tests/e2e/test_captures.py", "-k", "rounded_values or is_like"]
 EXPERTS = ["tests/e2e/test_experts.py"]
 LIVE = ["tests/e2e/test_live.py", "-k", "test_what or unusual or directions or no_port or document or can_that"]
 FILES = [["tests/e2e/test_candump.py", "-k", "test_form"], ["tests/e2e/test_files.py", "-k", "asc"], ["tests/e2e/test_recorders.py", "tests/e2e/test_dump.py", "tests/e2e/test_routes.py"],
          ["tests/e2e/test_candump.py", "tests/e2e/test_fuzz_findings.py", "tests/e2e/test_flight_fields.py"]]
 # The tests that claim to hold a row of a kind, the quick ones first.
 SUITES = {
-    "field": [["tests/e2e/test_flight_fields.py"], CAPTURES, ["tests/e2e/test_streams.py", "-k", "situation"],
+    "field": [["tests/e2e/test_flight_fields.py"], ROUNDED, CAPTURES, ["tests/e2e/test_streams.py", "-k", "situation"],
               ["tests/e2e/test_experts.py", "-k", "one_item_of_each_kind or each_flag"], ["tests/e2e/test_packet_menu.py"],
               ["tests/e2e/test_buses.py", "tests/e2e/test_copies.py", "tests/e2e/test_messages.py", "tests/e2e/test_captures.py",
                "tests/e2e/test_profile.py"]],

@@ -438,6 +438,30 @@ def test_tree_of_a_reserved_count(folder, special):
     assert f"\n    Torque IQ Commanded: {model.SPECIALS[special]} (0x{count:04x})\n" in shown
 
 
+def test_what_an_unknown_id_is_like(folder):
+    """By its size; a display filter finds the ID."""
+    path, sizes = folder / "like.pcap", {"command": 7, "health": 17, "motor": 32}
+    path.write_bytes(make.pcap(make.Source("".join(f"can0 [{0x123 + index:x} {bytes(size).hex()}]\n"
+                                                   for index, size in enumerate(sizes.values())))))
+    rows = tshark.fields(path, [f"yapp.like.{name}" for name in sizes], "-o", "yapp.all_extended:TRUE")
+    assert [row for row in rows if any(row)] == [["0x00000123", "", ""], ["", "0x00000124", ""], ["", "", "0x00000125"]]
+
+
+def test_rounded_values():
+    """Of each message, where no tree is printed: those of its fields, with fewer digits."""
+    names = [name.removesuffix(".rounded") for name in model.generated_filters() if name.endswith(".rounded")]
+    path, columns = tshark.ROOT / "docs/flight.pcapng", [f'"{name}","%Cus:{name}.rounded:0:R"' for name in names]
+    shown = tshark.run("-r", path, "-o", f"gui.column.format:{','.join(columns)}", "-T", "psml").stdout
+    cells = [re.findall(r"<section>(.*?)</section>", row) for row in shown.split("<packet>")[1:]]
+    rows = list(zip(tshark.fields(path, names), cells, strict=True))
+    seen = {name: [(exact[at], cell[at]) for exact, cell in rows if exact[at] or cell[at]] for at, name in enumerate(names)}
+    assert all(seen.values()) and len(names) == 20, [name for name, pairs in seen.items() if not pairs]
+    for name, pairs in seen.items():
+        for exact, cell in pairs:
+            unit = 10 ** -len(cell.partition(".")[2]) if "." in cell else 1
+            assert abs(float(cell) - float(exact)) <= unit / 2 + 1e-9, (name, exact, cell)
+
+
 # Capture, frame, field, and how the tree reads.
 TREE = [
     ("document_motor", 5, "taurus.motor.dc_voltage", "DC Voltage: 47.97314 V"),
