@@ -560,7 +560,8 @@ def in_pairs(linktype):
 
 
 def on_one(linktype):
-    return lambda number: Origin(linktype, 0, number, address=True)
+    """Each conversation has addresses of its own: one address with many ports may be a sender that takes new ones."""
+    return lambda number: Origin(linktype, 0, number, address=True, host=number // 2 % 250 + 1)
 
 
 def mixed(number):

@@ -22,6 +22,8 @@ function T.test_a_header_proves_a_copy()
   lu.assertEquals(found { { 0, HEAD }, { 0.0199, HEAD }, { 0.0001, HEAD } }, { 0, 1, 2 })
   lu.assertEquals(found { { 0, "x" .. HEAD .. "y" }, { 0.001, "x" .. HEAD .. "y" } }, { 0, 1 })
   lu.assertEquals(found { { 0, HEAD:sub(1, 7) }, { 0.001, HEAD:sub(1, 7) } }, { 0, 0 })
+  lu.assertEquals(found { { 0, ("YP"):rep(6) }, { 0.001, ("YP"):rep(6) } }, { 0, 0 }) -- of no ID
+  lu.assertEquals(found { { 0, "YPE" .. HEAD }, { 0.001, "YPE" .. HEAD } }, { 0, 1 })
   lu.assertEquals(found { { 0, HEAD }, { 0.02, HEAD } }, { 0, 0 })
   lu.assertEquals(found { { 0.02, HEAD }, { 0, HEAD } }, { 0, 0 })
   lu.assertEquals(found { { 0, HEAD }, { 0.001, HEAD, "another" } }, { 0, 0 })

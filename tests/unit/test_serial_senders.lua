@@ -103,6 +103,15 @@ function T.test_what_is_no_datagram()
   lu.assertEquals(next(self.is_changing), nil)
 end
 
+-- Bytes of another packet may look like IPv6 with UDP.  Then the two lengths differ.
+function T.test_lengths_of_ipv6()
+  local function count(length)
+    local bytes = ipv6(9, ("a"):rep(16)):gsub("\56\214%z\56", "\56\214\0" .. string.char(length))
+    return #senders.conversations(bytes)
+  end
+  lu.assertEquals({ count(56), count(55), count(57) }, { 1, 0, 0 })
+end
+
 -- A packet that ends in the header of a frame, behind its ID.
 function T.test_the_begin_of_a_header()
   local function count(length, port, header)

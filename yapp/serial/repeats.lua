@@ -42,7 +42,11 @@ end
 -- Whether bytes have the header of a frame up to its ID.
 local function has_id(bytes)
   local start = frame.find(bytes, 1)
-  return start ~= nil and start + ID_TO <= #bytes
+  while start and start + ID_TO <= #bytes do
+    if frame.has_id(bytes, start) then return true end
+    start = frame.find(bytes, start + 1)
+  end
+  return false
 end
 
 -- Whether a packet is a copy of an original with its bytes.

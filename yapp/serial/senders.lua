@@ -138,8 +138,11 @@ local function addresses_before(bytes, index, protocol)
   local version = v6 > 0 and byte(bytes, v6) or 0
   local is_v6 = version - version % 16 == 0x60 and byte(bytes, v6 + 6) == protocol
   -- Bytes of another packet may look like that: of 4,000 packets one does.
-  local length = is_v6 and u16(bytes, v6 + 4)
-  if is_v6 and length <= MAX_LENGTH then return sub(bytes, v6 + 8, v6 + 39), index + length end
+  local length = is_v6 and u16(bytes, v6 + 4) or 0
+  local is_equal = protocol ~= UDP or u16(bytes, index + 4) == length -- as UDP says
+  if is_v6 and length <= MAX_LENGTH and is_equal then
+    return sub(bytes, v6 + 8, v6 + 39), index + length
+  end
 end
 
 -- Return the addresses of the sender and of the receiver as Wireshark writes them.
