@@ -25,6 +25,8 @@ INSTALL_PLUGIN = "install it (yapp-tables install) or name it with --plugin PATH
 # An empty capture: a pcap header (SocketCAN, 64 KB packets) and no packet.
 EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e3000000")
 PLUGIN_SAYS = "yapp: "
+# Pages of 2 MB: tshark takes 3 to 5 % less time with glibc 2.35. Other systems ignore it.
+LARGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 SAME_PLUGIN = re.compile(r"\((.*)\) is not loaded: .* \(\1\) is already there$")  # --plugin, and it is installed
 UNDECODED = re.compile(r"^\d+ messages? (was|were) (not decoded|decoded in part)")
 # Nothing is missing then: the second message is left out.
@@ -140,7 +142,8 @@ class Tshark:
         return int(Decimal(text).scaleb(9)) if re.fullmatch(r"\d+\.\d+", text) else None
 
     def _environment(self) -> dict[str, str]:
-        return os.environ | ({"YAPP_MESSAGES": os.path.abspath(self.catalogue)} if self.catalogue else {})
+        own = {"YAPP_MESSAGES": os.path.abspath(self.catalogue)} if self.catalogue else {}
+        return LARGE_PAGES | os.environ | own
 
     def _reading(self, capture: Path) -> list[str]:
         command = [self._program(), "-r", str(capture.resolve())]
