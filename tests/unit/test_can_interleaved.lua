@@ -107,6 +107,9 @@ function T.test_the_bytes_of_a_pool()
   local known = words.new()
   local said = words.visits(known, words.frames("S32 S32 " .. ("M8? "):rep((4096 + 2 * 32) / 8), {}))
   lu.assertStrMatches(said, "%. %.%+fragment%.incomplete[ .]*")
+  known = words.new()
+  said = words.visits(known, words.frames("S32 S32 " .. ("M8? "):rep((4096 + 2 * 32) / 8 + 1), {}))
+  lu.assertStrMatches(said, "%. %.%+fragment%.incomplete[ .]* %.%+fragment%.overrun")
 end
 
 -- A message has one End, and a frame one message; an End of a broken message on the other bus says

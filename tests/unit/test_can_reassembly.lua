@@ -199,6 +199,9 @@ function T.test_anomalies_say_which_frames()
   lu.assertStrContains(text(4), "started in frame 1 ends with 24 of 32 bytes")
   lu.assertEquals(text(7),
     "A new Start supersedes the message that started in frame 5: 8 of 32 bytes came")
+  _, known, frames = words.send("S32 M8 S32 S32", { buses = true })
+  lu.assertEquals(text(4),
+    "A new Start supersedes the message that started in frame 3: 0 of 32 bytes came")
   _, known, frames = words.send("M8 E8", { ids = MOTOR })
   lu.assertEquals({ text(1), text(2) }, { "Middle fragment: no Start captured",
     "End fragment: no Start captured" })

@@ -259,7 +259,7 @@ local function complete(self)
     local i = k == 0 and #open or k
     local message, before = open[i].message, open[k - 1]
     local first, size = first_behind(self, message), message.size
-    local goal = { crc = message.crc, frames = {}, takes_all = k == 0, padding = false }
+    local goal = { crc = message.crc, frames = {}, takes_all = k == 0 }
     -- Let each message use its share of the credit: the oldest is usually broken, and searches most
     -- frames.
     self.reserve = self.credit * (1 - 1 / (#open - k + 1))
