@@ -54,7 +54,6 @@ function Pool:open_message(message, is_retry)
     start = self.starts, -- of the pool when it was opened
     anomaly = nil, -- what said that it is superseded: withdrawn if it turns out good
     is_retry = is_retry,
-    is_copy = false, -- whether a good message has the same Start
   })
 end
 
@@ -118,32 +117,16 @@ local function give_up(self, candidate)
   if not candidate.is_retry then self.reassembly:give_up(candidate.message) end
 end
 
--- Give up copies of good messages that came too long ago to end yet: each search would try them.
--- time  of the newest frame
-local function give_up_copies(self, time)
-  local open = {}
-  for _, candidate in ipairs(self.open) do
-    if candidate.is_copy and not self.reassembly:is_near(candidate.message.time, time) then
-      give_up(self, candidate)
-    else
-      open[#open + 1] = candidate
-    end
-  end
-  self.open = open
-end
-
 --- Note a Start: it supersedes the open messages; give up those that are too old.
 -- anomaly  the one that notes this of the newest message, or nil
--- time     of the Start
 -- returns  whether any is left
-function Pool:supersede(anomaly, time)
+function Pool:supersede(anomaly)
   local open = self.open
   local newest = open[#open]
   newest.message.status = "superseded"
   if anomaly then newest.anomaly, anomaly.is_open = anomaly, true end
   self.starts = self.starts + 1
   if self.starts - open[1].start > MAX_SUPERSEDED then give_up(self, table.remove(open, 1)) end
-  give_up_copies(self, time)
   drop_frames(self)
   return self.open[1] ~= nil
 end
@@ -213,7 +196,7 @@ local function forgive_copies(self, message)
   for _, candidate in ipairs(self.open) do
     local other = candidate.message
     if have_same_start(other, message) and self.reassembly:is_near(message.time, other.time) then
-      candidate.is_copy, other.status = true, "superseded"
+      other.status = "superseded"
     end
   end
 end

@@ -218,7 +218,7 @@ local function supersede(self, frame)
     end
     open = pool_of(self, open, frame)
   end
-  if open:supersede(anomaly, frame.time) then return open end
+  if open:supersede(anomaly) then return open end
   close(self, frame.slot)
 end
 
