@@ -451,7 +451,8 @@ def test_an_interface_block_of_absurd_length():
         script = ["-X", f"lua_script:{tshark.PLUGIN / 'yapp.lua'}"] if plugin else []
         with subprocess.Popen(["tshark", *script, "-r", path], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
                               **tshark._user()) as process:  # pylint: disable=protected-access
-            assert len(process.stdout.read().splitlines()) > 0, "no packet was read"
+            lines = process.stdout.read().splitlines()
+            assert lines and any(b" YAPP " in line for line in lines) == plugin, lines[:3]
             _, status, usage = os.wait4(process.pid, 0)
             process.returncode = os.waitstatus_to_exitcode(status)
         used.append((usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, process.returncode))
