@@ -32,7 +32,7 @@ import tshark  # noqa: E402
 import witnesses  # noqa: E402
 
 CAPTURES = ["tests/e2e/test_captures.py", "-k", "fields_and_info or document_says"]
-ROUNDED = ["tests/e2e/test_captures.py", "-k", "rounded_values or is_like"]
+ROUNDED = ["tests/e2e/test_captures.py", "-k", "rounded_values or is_like or each_flag"]
 EXPERTS = ["tests/e2e/test_experts.py"]
 LIVE = ["tests/e2e/test_live.py", "-k", "test_what or unusual or directions or no_port or document or can_that"]
 FILES = [["tests/e2e/test_candump.py", "-k", "test_form"], ["tests/e2e/test_files.py", "-k", "asc"], ["tests/e2e/test_recorders.py", "tests/e2e/test_dump.py", "tests/e2e/test_routes.py"],

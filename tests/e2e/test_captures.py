@@ -204,6 +204,15 @@ def test_each_flag_and_each_reserved_count(folder, ident):
     flags = [name for name, kind in model.filters().items() if kind == "BOOLEAN" and name in wanted[0][0]]
     tshark.assert_found(path, [(f"{name} == 1", [message["frame"] for message, (fields, _) in zip(source.messages, wanted)
                                                  if fields[name] == "1"]) for name in flags])
+    undefined = {}  # by filter
+    for field, _, kind in filter(lambda row: model.is_flags(row[2]), model.MESSAGES[ident][2]):
+        path_of = f"taurus.{model.MESSAGES[ident][0]}."
+        for message, (fields, _) in zip(source.messages, wanted):
+            bits = int(fields[path_of + field], 16) & ~sum(kind[1])
+            if bits:
+                undefined.setdefault(f"{path_of}{kind[0]}.undefined == {bits:#x}", []).append(message["frame"])
+    if undefined:
+        tshark.assert_found(path, list(undefined.items()))
 
 
 def test_public_names_and_types():
