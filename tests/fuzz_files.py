@@ -509,14 +509,20 @@ def split(suffix, data):
     return b"", [data[at:at + 64] for at in range(0, len(data), 64)]
 
 
+TLS = CAPTURES / "cases/tls12_4433.pcapng"  # with its keys
+
+
 @functools.lru_cache(None)
 def corpus():
     kinds = (".pcap", ".pcapng", ".log", ".txt", ".yapp", ".bin")
-    return sorted(path for kind in ("can", "serial", "candump") for path in (CAPTURES / kind).iterdir() if path.suffix in kinds)
+    return sorted([TLS, *(path for kind in ("can", "serial", "candump") for path in (CAPTURES / kind).iterdir()
+                          if path.suffix in kinds)])
 
 
 def known_arguments(path):
     """The options that a capture of ours is read with, in groups."""
+    if path == TLS:
+        return [["-d", "tls.port==4433,yapp_serial"]]
     text = path.with_suffix(".frames")
     line = re.search(r"^options (.*)$", text.read_text(), re.M) if text.exists() else None
     words = shlex.split(line[1]) if line else []

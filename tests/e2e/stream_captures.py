@@ -467,10 +467,10 @@ USER0, ETHERNET, RTAC, EXPORTED_PDU, USBMON, USBPCAP = 147, 1, 250, 252, 220, 24
 class Origin:
     """Where a stream was captured: interface, and the number of the stream, of which come two to a conversation."""
 
-    def __init__(self, linktype, interface, number, address=None, host=1):
+    def __init__(self, linktype, interface, number, address=None, host=1, has_flags=False):
         self.linktype, self.interface, self.number, self.address, self.host = linktype, interface, number, address, host
-        self.direction, self.pair = number % 2, number // 2
-        self.bus_direction = (linktype == RTAC) * ("tx", "rx")[self.direction]
+        self.direction, self.pair, self.has_flags = number % 2, number // 2, has_flags
+        self.bus_direction = (has_flags or linktype == RTAC) * ("tx", "rx")[self.direction]
 
 
 def addresses(origin):
@@ -559,6 +559,11 @@ def in_pairs(linktype):
     return lambda number: Origin(linktype, number // 2, number)
 
 
+def by_flags(linktype):
+    """The same by the direction in the flags of each packet: inbound or outbound."""
+    return lambda number: Origin(linktype, number // 2, number, has_flags=True)
+
+
 def on_one(linktype):
     """Each conversation has addresses of its own: one address with many ports may be a sender that takes new ones."""
     return lambda number: Origin(linktype, 0, number, address=True, host=number // 2 % 250 + 1)
@@ -576,6 +581,7 @@ def mixed(number):
 TRANSPORTS = {
     "DLT_USER, by the table": (interfaces(USER0), joined_by_us, raw, UAT),
     "DLT_USER, by the preference": (interfaces(USER0), joined_by_us, raw, ["-o", "yapp.user_dlt:147"]),
+    "DLT_USER, directions by flags": (by_flags(USER0), joined_by_us, raw, ["-o", "yapp.user_dlt:147"]),
     "exported PDU, by interface": (interfaces(EXPORTED_PDU), joined_by_us, exported_pdu, []),
     "exported PDU, by address": (on_one(EXPORTED_PDU), joined_by_us, exported_pdu, []),
     "RTAC": (in_pairs(RTAC), joined_by_us, rtac, AS_SERIAL),
@@ -647,8 +653,9 @@ class Capture:
     @staticmethod
     def packet_block(packet, data):
         captured = len(data) - len(packet.data) + packet.captured
-        return block(6, struct.pack("<IIIII", packet.origin.interface, packet.time >> 32,
-                                    packet.time & 0xFFFFFFFF, captured, len(data)) + data[:captured])
+        head = struct.pack("<IIIII", packet.origin.interface, packet.time >> 32, packet.time & 0xFFFFFFFF, captured, len(data))
+        flags = struct.pack("<HHIHH", 2, 4, 2 - packet.origin.direction, 0, 0) if packet.origin.has_flags else b""
+        return block(6, head + data[:captured] + b"\0" * (-captured % 4) + flags)
 
     def bytes(self):
         return self.head() + b"".join(
