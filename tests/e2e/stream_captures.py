@@ -453,7 +453,7 @@ def segments_lost(rng, data, origin):
         pieces = pieces[count + 1:]
     packets = runs[0]
     for run in runs[1:]:
-        acknowledgement = Packet(b"", Origin(origin.linktype, origin.interface, origin.number ^ 1, address=True))
+        acknowledgement = Packet(b"", Origin(origin.linktype, origin.interface, origin.number ^ 1, address=True, host=origin.host))
         acknowledgement.sequence, acknowledgement.acknowledged = 1, run[0].sequence
         packets += [acknowledgement, *run]
     return packets
@@ -634,7 +634,7 @@ class Capture:
             begin = place + 28 + length - len(packet.data)
             if begin + HEADER <= len(data) and packet.data[:2] == b"YP" and packet.captured > 1:
                 ident, _, reserved = struct.unpack_from("<IHH", data, begin + 4)  # they may end in another packet
-                if ident < 0x800 and not reserved:
+                if ident < 0x800 and (not reserved or 8 <= len(packet.data) < HEADER):
                     found.setdefault(ident, set()).add(sender(packet.origin))
             place += len(self.packet_block(packet, self.link(packet)))
         return found
