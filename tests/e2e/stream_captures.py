@@ -276,7 +276,7 @@ class Packet:
         self.events, self.pending, self.leads_to, self.held = [], b"", set(), False
         self.time = self.number = self.sequence = None
         self.acknowledged = 1
-        self.bus = ""
+        self.bus, self.buses = "", {}
         self.link = lambda packet: packet.data
 
 

@@ -73,7 +73,7 @@ local function repeated(message, frame, needed)
       return zeros and is_good(message, table.concat(rest):sub(1, message.size)) and zeros
     end
     for count = run[2] - run[1], 0, -1 do
-      for i = run[1] + 1, run[2] do out[i] = i <= run[1] + count or nil end
+      for i = run[1] + 1, run[2] do out[i] = i > run[2] - count or nil end
       local zeros = try(index + 1, rest_needed + count * #chunks[run[1]])
       if zeros then return zeros end
     end
