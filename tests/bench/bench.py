@@ -113,7 +113,7 @@ def python_with_can():
     for python in (str(ours / "bin/python"), "/usr/bin/python3"):
         with contextlib.suppress(NotMeasured):
             return python, output([python, "-c", packages]).strip()
-    return "/usr/bin/python3", "no python-can"
+    return "/usr/bin/python3", "the system's Python and python-can, without yapp-tables"
 
 
 def try_out(asked, loaded):
