@@ -188,7 +188,7 @@ local function spoil(text)
     return (text:gsub("%f[%S]" .. literal(name) .. "%f[%s]", name .. "?"))
   end
   local key = '("' .. literal(name) .. '":)'
-  text = text:gsub(key .. '"', '%1"?')
+  text = text:gsub(key .. '"', '%1"?'):gsub('("' .. literal(name) .. ')":([{%[])', '%1?":%2')
   return (text:gsub(key .. "(%-?[%d.]+)", function(before, number) return before .. number + 1 end)
     :gsub(key .. "true", "%1false"))
 end

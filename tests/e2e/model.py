@@ -84,6 +84,10 @@ HEALTH_STATUS = {0x1: "regeneration_enabled", 0x2: "reversed", 0x4: "precharging
 
 TEMPERATURE, CURRENT, PERCENT, RIPPLE = (-40, 210, "°C"), (-128, 128, "A"), (0, 100, "%"), (0, 12.5, "V")
 SPEED = (-60000, 60000, "RPM")
+MEANINGS = {
+    "enabled": {0: "Disabled", 1: "Enabled"}, "motor_mode": {0: "Torque Mode", 1: "Speed Mode"},
+    "key": {0xA5: "Full Operation", 0x5A: "No Regeneration Allowed"},
+}
 
 
 class Flags(tuple):
@@ -116,13 +120,13 @@ class Message(tuple):
 
 MESSAGES = {
     COMMAND: Message("command", "Command", [
-        ("enabled", 1, {0, 1}), ("key", 1, {0xA5, 0x5A}), ("motor_mode", 1, {0, 1}),
+        ("enabled", 1, set(MEANINGS["enabled"])), ("key", 1, set(MEANINGS["key"])), ("motor_mode", 1, set(MEANINGS["motor_mode"])),
         ("torque_iq", 2, (-200, 200, "A")), ("rpm", 2, (-100000, 100000, "RPM"))], 0.2),
     MOTOR: Message("motor", "Motor Data", [
         ("torque_iq_commanded", 2, CURRENT), ("torque_iq_measured", 2, CURRENT),
         ("rpm_commanded", 2, SPEED), ("rpm_measured", 2, SPEED),
         ("dc_voltage", 2, (-128, 128, "V")), ("dc_current", 2, CURRENT),
-        ("motor_temperature", 1, TEMPERATURE), ("motor_mode", 1, {0, 1}),
+        ("motor_temperature", 1, TEMPERATURE), ("motor_mode", 1, set(MEANINGS["motor_mode"])),
         ("status_flags", 4, Flags("status", STATUS)), ("fault_flags", 4, Flags("fault", FAULT, 0xFFFF_FFFF)),
         ("timestamp", 8, None), ("motor_state", 1, Flags("state", STATE, FAULTED)), ("esc_temperature", 1, TEMPERATURE)],
         0.1, "command", {"torque_iq_error": ("torque_iq_measured", "-", "torque_iq_commanded"),

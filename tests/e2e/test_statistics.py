@@ -191,8 +191,15 @@ def check_row(row, frame, bus, source, message):
                 assert row[f"{field}_special"] == ""
         else:
             assert int(row[field]) == count
+        if field in model.MEANINGS:
+            assert row[f"{field}_text"] == model.MEANINGS[field].get(count, "")
         for bit, flag in (kind[1] if kind and model.is_flags(kind) else {}).items():
             assert row[f"{kind[0]}_{flag}"] == ("1" if count & bit else "0")
+    ident = flights.KIND[message.sender.kind]
+    values = model.generated(ident, message.payload)
+    for name in model.MESSAGES[ident].derived:
+        value = values.get(f"taurus.{model.MESSAGES[ident].name}.{name}")
+        assert row[name] == "" if value is None else float(row[name]) == pytest.approx(value, rel=1e-6, abs=1e-9)
 
 
 def check_fields(described):
