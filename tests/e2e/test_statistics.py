@@ -220,6 +220,23 @@ def check_fields(described):
                 assert columns[f"{kind[0]}_{flag}"]["filter"] == f"taurus.{name}.{kind[0]}.{flag}"
 
 
+def test_check_says_limit_and_worst():
+    """Of a rule about a field: how many values lie outside, which one the farthest, and of how many."""
+    capture = tshark.ROOT / "docs/flight.pcapng"
+    rows = tshark.run("-r", capture, "-Y", "taurus.motor.dc_voltage", "-T", "fields", "-e", "yapp.bus", "-e", "taurus.motor.dc_voltage")
+    values = {}
+    for bus, value in map(str.split, rows.stdout.splitlines()):
+        values.setdefault(bus, []).append(float(value))
+    limit = sorted(values["can0"])[len(values["can0"]) // 2]
+    done = tshark.run("-r", capture, "-q", "-z", f"yapp,check,json,motor.dc_voltage=..{limit}", check=False)
+    assert done.returncode == 20 and len(values) == 2
+    lines = {line["bus"]: line for line in map(json.loads, done.stdout.splitlines())}
+    for bus, of_bus in values.items():
+        above = [value for value in of_bus if value > limit]
+        assert lines[bus].items() >= {"limit": f"..{limit}", "seen": len(above), "note": f"of {len(of_bus)} values"}.items()
+        assert above and lines[bus]["worst"] == pytest.approx(max(above))
+
+
 @CHECKED
 def test_csv(results, seed, form, passes):
     table = results(seed, form, passes)[1]
