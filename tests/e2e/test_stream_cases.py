@@ -626,18 +626,23 @@ def test_a_first_message_that_another_protocol_takes_is_no_all_clear(folder, pas
     assert done.returncode == 0, done.stdout
 
 
+def in_pieces(length, ports):
+    """[(seconds, packet)]: a flight of two seconds in TCP segments of that many bytes."""
+    data, packets = b"".join(data for _, data in flight(fault=None)), []
+    for at in range(0, len(data), length):
+        packet = Packet(data[at:at + length], Origin(ETHERNET, 0, 0))
+        packet.ports, packet.kind, packet.sequence = ports, "tcp", 1 + at
+        packets.append((2 * at / len(data), packet))
+    return packets
+
+
 @levels.by_version
 @levels.each_once
 @PASSES
 @pytest.mark.parametrize("length", [7, 20])
 def test_pieces_on_a_port_of_another_protocol_are_no_all_clear(folder, passes, length):
     """Modbus has port 502, and may have taken the pieces before those that show YAPP."""
-    data, packets = b"".join(data for _, data in flight(fault=None)), []
-    for number, at in enumerate(range(0, len(data), length)):
-        packet = Packet(data[at:at + length], Origin(ETHERNET, 0, 0))
-        packet.ports, packet.kind, packet.sequence = (502, 50000), "tcp", 1 + at
-        packets.append((2 * number / (len(data) / length), packet))
-    path = written(folder, packets, ported)
+    path = written(folder, in_pieces(length, (502, 50000)), ported)
     done = tshark.run("-q", "-r", path, *passes, "-z", "yapp,faults", check=False)
     assert done.returncode == 21 and "try -d tcp.port==502,yapp_serial" in done.stdout
     counts, _ = statistics(path, "-d", "tcp.port==502,yapp_serial", *passes)
@@ -650,12 +655,7 @@ def test_pieces_on_a_port_of_another_protocol_are_no_all_clear(folder, passes, l
 @pytest.mark.parametrize("length", [8, 11])
 def test_pieces_that_another_protocol_takes_are_no_all_clear(folder, passes, length):
     """Telnet has port 23, and leaves none.  No piece has a whole header."""
-    data, packets = b"".join(data for _, data in flight(fault=None)), []
-    for at in range(0, len(data), length):
-        packet = Packet(data[at:at + length], Origin(ETHERNET, 0, 0))
-        packet.ports, packet.kind, packet.sequence = (23, 50000), "tcp", 1 + at
-        packets.append((2 * at / len(data), packet))
-    path = written(folder, packets, ported)
+    path = written(folder, in_pieces(length, (23, 50000)), ported)
     done = tshark.run("-q", "-r", path, *passes, "-z", "yapp,faults", check=False)
     assert done.returncode == 21 and "try -d tcp.port==23,yapp_serial" in done.stdout
     assert statistics(path, "-d", "tcp.port==23,yapp_serial", *passes)[0] == {("192.0.2.1:23", MOTOR_DATA): 20}

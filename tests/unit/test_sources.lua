@@ -167,7 +167,7 @@ end
 function T.test_addresses_that_no_sender_has()
   local advice = "write 192.168.1.12:40000 or [fe80::1]:14550"
   for _, bus in ipairs { "192.168.1.256", "192.168.1.12:70000", "[fe80::1]:65536", "999.1.1.1:1",
-    "[fe80::0001]:1", "fe80::01" } do
+    "[fe80::0001]:1", "fe80::01", "[fe80:0:0:0:0:0:0:1]:1", "fe80:0:0:0:1:2:3:1" } do
     for _, part in ipairs { bus .. "/0x210=motor:x", '"' .. bus .. '"=x' } do
       local s, problems = parse(part)
       local problem = ('yapp.sources: no address "%s" in "%s"; %s'):format(bus, part, advice)
@@ -175,7 +175,7 @@ function T.test_addresses_that_no_sender_has()
     end
   end
   local _, problems = parse("192.168.1.12/1=a, 192.168.1.12:65535/1=b, [fe80::1]/1=c, [fe80::1]:1/1=d, " ..
-    "eth0.12/1=e, a:99999/1=f, 00:1b:2c/1=g")
+    "eth0.12/1=e, a:99999/1=f, 00:1b:2c/1=g, [fe80:1:2:3:4:5:10:0]:1/1=h, fe80:0:1:2:3:4:5:6/1=i")
   lu.assertEquals(problems, {})
 end
 

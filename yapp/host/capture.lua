@@ -572,7 +572,7 @@ end
 --   start         if the first packet has no time stamp: that of the next one, seconds since 1970
 --   offset        of the CAN frame's data in each packet; nil where it is not always the same
 --   head          its first bytes, if it has packets and these may have YAPP frames, in TCP, UDP or
---                 others, of which one packet may have only the begin
+--                 others, of which one packet may have only the beginning
 --   has_serial_frames  whether a packet of a serial line in pcapng may have a YAPP frame
 --   may_have_frames  whether its first bytes may have YAPP frames, or it has no packets yet }
 function M.read(head, more)

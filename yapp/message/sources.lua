@@ -98,17 +98,25 @@ local function expand_names(name, ranges)
   return names
 end
 
+-- Return the IPv6 address of a bus, nil for none, and whether Wireshark writes it so.
+local function ipv6_of(bus)
+  local address = bus:match("^%[([%x:]+)%]:?%d*$") or bus:match("^%x*:[%x:]*:%x*$")
+  if not address then return nil, true end
+  local is_short, _, colons = address:find("::", 1, true), address:gsub(":", "")
+  if address == bus and not is_short and colons < 7 then return nil, true end -- 00:1b:2c
+  local has_zeros = address:find("%f[%x]0%x") or not is_short and address:find("%f[%x]0:0")
+  return address, not has_zeros
+end
+
 -- Raise that no sender has such an address: a byte above 255, a port above 65,535, an IPv6 address
 -- in another form than Wireshark's.
 -- returns  the bus, an IPv6 address in small letters
 local function check_address(bus)
   local a, b, c, d, port = bus:match("^(%d+)%.(%d+)%.(%d+)%.(%d+):?(%d*)$")
   port = port or bus:match("^%[.*:.*%]:(%d+)$")
-  local is_possible = (tonumber(port) or 0) < 65536
+  local ipv6, is_possible = ipv6_of(bus)
+  is_possible = is_possible and (tonumber(port) or 0) < 65536
   for _, byte in ipairs { a, b, c, d } do is_possible = is_possible and tonumber(byte) < 256 end
-  local ipv6 = bus:match("^%[([%x:]+)%]:?%d*$") or bus:match("^%x*:[%x:]*:%x*$")
-  if ipv6 == bus and not bus:find("::", 1, true) then ipv6 = nil end -- as of an interface: 00:1b:2c
-  is_possible = is_possible and not (ipv6 and ipv6:find("%f[%x]0%x"))
   local advice = "write 192.168.1.12:40000 or [fe80::1]:14550"
   demand(is_possible, ('no address "%s"'):format(bus), advice)
   return ipv6 and bus:lower() or bus

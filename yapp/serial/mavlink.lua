@@ -4,7 +4,7 @@
 --
 --   FE length seq system component message payload CRC                      version 1
 --   FD length flags 0 seq system component message (3) payload CRC          version 2
---   flags: 1 = a signature of 13 bytes behind the CRC; no system or component has the number 0
+--   flags: 1 = a signature of 13 bytes behind the CRC; no system has the number 0
 
 local M = {}
 
@@ -15,11 +15,11 @@ local V1_LENGTH, V2_LENGTH, SIGNATURE = 8, 12, 13 -- without the payload
 
 -- Return the length of the MAVLink packet at an index; nil if there is none.
 local function length_at(bytes, index)
-  local magic, length, third, fourth, fifth, system, component = byte(bytes, index, index + 6)
-  if not component then return nil end
-  if magic == V1 and fourth * fifth > 0 then return V1_LENGTH + length end -- system and component
-  local is_v2 = magic == V2 and third <= 1 and fourth == 0 and system * component > 0
-  return is_v2 and V2_LENGTH + length + third * SIGNATURE or nil -- third: flags
+  local magic, length, flags, fourth, _, system = byte(bytes, index, index + 5)
+  if not system then return nil end
+  if magic == V1 and fourth > 0 then return V1_LENGTH + length end -- it is the system
+  local is_v2 = magic == V2 and flags <= 1 and fourth == 0 and system > 0
+  return is_v2 and V2_LENGTH + length + flags * SIGNATURE or nil
 end
 
 --- Return whether bytes are whole MAVLink packets.
