@@ -234,7 +234,7 @@ local function dissect_any(tvb, pinfo, root)
     if length > 0 then frames.deferral:forget() end
     return length
   end
-  return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
+  return is_unknown and tvb:reported_len() > 0 and frames:dissect_without_id(tvb, pinfo, root) or 0
 end
 
 all.dissector = counted(dissect_any)
@@ -246,7 +246,7 @@ local is_heuristic = false
 
 local function unclaimed(tvb, pinfo, root)
   if settings.accepts_all then return dissect_any(tvb, pinfo, root) > 0 end
-  frames.deferral:note(tvb, pinfo)
+  frames.deferral:remember(tvb, pinfo)
   return false
 end
 
@@ -259,7 +259,7 @@ end
 
 -- The first frame makes the reading, and gives the table of ids the dissector of the others.
 yapp.dissector = counted(function(tvb, pinfo, root)
-  local dissect = frames:of_table(calls)
+  local dissect = frames:new_table_dissector(calls)
   yapp.dissector = dissect
   return dissect(tvb, pinfo, root)
 end)
@@ -269,7 +269,7 @@ serial.dissector = counted(function(tvb, pinfo, root)
 end)
 
 skipped.dissector = counted(function(tvb, pinfo, root)
-  return streams:skipped(tvb, pinfo, root)
+  return streams:dissect_skipped(tvb, pinfo, root)
 end)
 
 -- A conversation becomes YAPP's with its first packet that is YAPP.

@@ -383,7 +383,7 @@ function T.test_a_frame_of_others()
   lu.assertEquals({ frames.deferral.number, notes }, { 4, 1 })
   frames.deferral:close()
   lu.assertFalse(frames.deferral.number)
-  lu.assertFalse(frames.deferral:note(buffer(DATA, nil, 8), packet(5)))
+  lu.assertFalse(frames.deferral:remember(buffer(DATA, nil, 8), packet(5)))
 end
 
 -- A frame of zeros may be remote: a header, a field or a column says it.
@@ -466,10 +466,10 @@ end
 function T.test_frames_without_an_id()
   said.result, said.message = { is_usual = true }, {}
   local frames = deferring()
-  lu.assertEquals(frames:without_id(buffer(DATA, nil, 8), packet(3)), 8)
+  lu.assertEquals(frames:dissect_without_id(buffer(DATA, nil, 8), packet(3)), 8)
   frames.deferral:on_header(packet(3), buffer(record(EXTENDED + MOTOR, DATA)))
   lu.assertEquals({ seen.frame.data, seen.frame.accepts_all, seen.calls }, { DATA, true, {} })
-  lu.assertEquals(frames:without_id(buffer("", 8), packet(4)), 8)
+  lu.assertEquals(frames:dissect_without_id(buffer("", 8), packet(4)), 8)
   lu.assertEquals({ seen.calls[1][1], seen.asked }, { "show_without_id", true })
 end
 
@@ -478,7 +478,7 @@ function T.test_noted_frames()
   local frames, parts = deferring(true)
   parts.buses.bus_is_per_packet = true
   local function note(number, word)
-    lu.assertTrue(frames.deferral:note(buffer(DATA, nil, 8), packet(number)))
+    lu.assertTrue(frames.deferral:remember(buffer(DATA, nil, 8), packet(number)))
     frames.deferral:on_header(packet(number), buffer(record(word, DATA)))
   end
   note(3, EXTENDED + MOTOR + 5)
@@ -488,21 +488,21 @@ function T.test_noted_frames()
   lu.assertEquals(frame.can_id.id, 0x210)
   seen.undissected = nil
   note(4, MOTOR % 0x800)
-  lu.assertTrue(frames.deferral:note(buffer(DATA, nil, 8), packet(5)))
+  lu.assertTrue(frames.deferral:remember(buffer(DATA, nil, 8), packet(5)))
   frames.deferral:forget()
   lu.assertFalse(frames.deferral.number)
   lu.assertNil(seen.undissected, "Decode As accepted it")
-  frames.deferral:note(buffer("", 8, 8), packet(6, { len = 8 }))
+  frames.deferral:remember(buffer("", 8, 8), packet(6, { len = 8 }))
   frames.deferral:on_header(packet(6), buffer(record(EXTENDED + MOTOR, "")))
   lu.assertNil(seen.undissected, "nothing was captured")
   lu.assertEquals(frames.deferral.can, 3)
   parts.buses.bus_is_per_packet = false
-  frames.deferral:note(buffer("\1", nil, 8), packet(7, { len = 9 }))
+  frames.deferral:remember(buffer("\1", nil, 8), packet(7, { len = 9 }))
   frames.deferral:on_header(packet(7), buffer(record(EXTENDED + MOTOR, "\1")))
   lu.assertEquals({ seen.undissected.number, seen.undissected.data, seen.undissected.bus }, { 7, "\1", false })
   frames.deferral:open(function() end)
   lu.assertEquals({ frames.deferral.can, frames.deferral.extended }, { 0, 0 }, "of another statistic")
-  lu.assertFalse(frames.deferral:note(buffer(DATA, nil, 8), packet(6, { len = 40 })), "no record of SocketCAN")
+  lu.assertFalse(frames.deferral:remember(buffer(DATA, nil, 8), packet(6, { len = 40 })), "no record of SocketCAN")
 end
 
 function T.test_the_dissector_of_the_table()
@@ -510,7 +510,7 @@ function T.test_the_dissector_of_the_table()
   said.result, said.message = { is_usual = true }, {}
   local calls = { begun = 4, ended = 3 }
   parts.settings.accepts_all = true
-  lu.assertEquals(frames:of_table(calls)(buffer(DATA), packet(3, { match_uint = MOTOR }), "tree"), 8)
+  lu.assertEquals(frames:new_table_dissector(calls)(buffer(DATA), packet(3, { match_uint = MOTOR }), "tree"), 8)
   lu.assertEquals({ calls, seen.frame.accepts_all, seen.frame.can_id.id }, { { begun = 5, ended = 4 }, true, 0x210 })
 end
 

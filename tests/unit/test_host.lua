@@ -147,11 +147,11 @@ function T.test_ports()
   local own, other = setmetatable({ name = "yapp_port" }, { __tostring = function() return "yapp_port" end }), "another"
   ports.use(own, "dissector")
   tables["tcp.port"][80] = other
-  ports.take(true, 80)
+  ports.register(true, 80)
   lu.assertNil(own.dissector, "most captures need none")
-  ports.take(true, 14550)
-  ports.take(false, 14550)
-  ports.take(false, 9)
+  ports.register(true, 14550)
+  ports.register(false, 14550)
+  ports.register(false, 9)
   lu.assertEquals({ tables["tcp.port"][80], tables["tcp.port"][14550], tables["udp.port"][14550] }, { other, own, own })
   lu.assertEquals(own.dissector, "dissector")
   local function is_of_others(kind, from, to)
@@ -169,10 +169,10 @@ function T.test_ports()
     has_other(2, 14550, 50000), has_other(2, 50000, 80) }, { true, true, false, false, true })
   tables["udp.port"][44818] = nil
   tables["udp.port"][9] = other -- the user's Decode As
-  ports.give_back()
+  ports.unregister_all()
   lu.assertEquals({ tables["tcp.port"], tables["udp.port"] }, { { [80] = other }, { [9] = other } })
   tables["tcp.port"][14550] = own
-  ports.give_back() -- of what it took before nothing is left
+  ports.unregister_all() -- of what it took before nothing is left
   lu.assertEquals(tables["tcp.port"][14550], own)
 end
 

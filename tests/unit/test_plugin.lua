@@ -445,7 +445,7 @@ function T.test_a_statistic_begins()
   local tvb, pinfo = {}, {}
   parts.settings.accepts_all = false
   lu.assertFalse(protos.yapp_all.heuristics[1][2](tvb, pinfo))
-  lu.assertEquals(seen.arguments["deferral.note"], { tvb, pinfo })
+  lu.assertEquals(seen.arguments["deferral.remember"], { tvb, pinfo })
 end
 
 function T.test_in_windows()
@@ -490,7 +490,7 @@ function T.test_calls_are_counted()
   lu.assertEquals(protos.yapp_serial.dissector("tvb", "pinfo", "root"), 40)
   lu.assertEquals(seen.arguments["streams.dissect"], { "tvb", "pinfo", "root" })
   lu.assertEquals(calls, { begun = 2, ended = 2 })
-  said["streams.skipped"] = function() error("broken") end
+  said["streams.dissect_skipped"] = function() error("broken") end
   lu.assertFalse(pcall(protos.yapp_skipped.dissector, "tvb", "pinfo", "root"))
   lu.assertEquals(calls, { begun = 3, ended = 2 })
   protos.yapp.init()
@@ -503,7 +503,7 @@ end
 -- The first frame gives the table of ids the dissector of the others.
 function T.test_the_dissector_of_the_table()
   local protos = open()
-  said["frames.of_table"] = function()
+  said["frames.new_table_dissector"] = function()
     return function(...)
       seen.dissected = { ... }
       return 8
@@ -514,7 +514,7 @@ function T.test_the_dissector_of_the_table()
   lu.assertEquals(seen.dissected, { "tvb", "pinfo", "root" })
   lu.assertFalse(protos.yapp.dissector == first)
   lu.assertEquals(protos.yapp.dissector("again", "pinfo", "root"), 8)
-  lu.assertEquals(#calls_of("frames.of_table"), 1)
+  lu.assertEquals(#calls_of("frames.new_table_dissector"), 1)
   lu.assertEquals(protos.taurus.dissector(), 0)
 end
 
@@ -526,7 +526,7 @@ function T.test_decode_as_on_can()
     said["tvb.reported_len"], tvb = length, stand_in("tvb")
     return protos.yapp_all.dissector(tvb, pinfo, "root")
   end
-  said["frames.dissect"], said["frames.without_id"] = 8, 5
+  said["frames.dissect"], said["frames.dissect_without_id"] = 8, 5
   lu.assertEquals({ dissect(7, 8), dissect(nil, 8), dissect(nil, 0) }, { 8, 5, 0 })
   is_unknown = false
   lu.assertEquals(dissect(nil, 8), 0)

@@ -403,7 +403,7 @@ function T.test_a_conversation_that_is_awaited()
     local capture = new_capture()
     capture.reading.lines:await { one }
     visit_packet(capture, lines.TCP, bytes, { seq = 100 })
-    lu.assertEquals(#capture.reading.lines:unread { one }, count)
+    lu.assertEquals(#capture.reading.lines:list_unread { one }, count)
   end
 end
 

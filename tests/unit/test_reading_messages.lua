@@ -54,7 +54,7 @@ local function read(of_type, bytes, with)
     key = with.key or 7 * frame_key.PACKET, time = 1, visited = with.visited or false,
     is_bus_known = with.is_bus_known ~= false, is_only_pass = false, wants_state = with.wants_state or false }
   local transfer = { status = with.status or "good", size = with.size or of_type.size, payload = payload }
-  return messages:read(records.new_message(), frame, transfer), table.concat(asked, " ")
+  return messages:fill(records.new_message(), frame, transfer), table.concat(asked, " ")
 end
 
 local function at(message, field) return message.by_name[field].offset end
@@ -97,7 +97,7 @@ function T.test_a_shorter_payload()
   local types = new_types(catalogue.compile(entries))
   for size = 29, 33 do
     local messages = messages_of.new(types, history_of({ delta = 1 }, {}), copies_of())
-    local m = messages:read(records.new_message(),
+    local m = messages:fill(records.new_message(),
       { source = types:new_source(0x210, false), key = 1, visited = false, is_bus_known = true },
       { size = size, payload = ("\1"):rep(size), status = size == 31 and "bad" or "good" })
     found[#found + 1] = ("%d %s %s"):format(size, m.raws and "read" or "bytes", m.undecoded or "-")

@@ -54,7 +54,7 @@ local function new_reading()
     seen.asked = key
     return said.is_stored
   end
-  function streams.note_header(_, ...)
+  function streams.add_header(_, ...)
     seen.header = { ... }
     return said.has_order
   end
@@ -71,7 +71,7 @@ local function new_reading()
     seen.adapter = line
     return said.line
   end
-  function lines.unread(_, conversations) return { conversations[2] } end
+  function lines.list_unread(_, conversations) return { conversations[2] } end
   function lines.await(_, conversations) seen.awaited = conversations end
   local reading = { streams = streams, found = {}, lines = lines }
   function reading.may_be_yapp() return said.may_be_yapp end
@@ -116,8 +116,8 @@ function T.setUp()
     stop = function() seen.stops = seen.stops + 1 end,
   }
   package.loaded["yapp.host.ports"] = {
-    take = function(...) seen.taken[#seen.taken + 1] = { ... } end,
-    give_back = function() seen.given_back = seen.given_back + 1 end,
+    register = function(...) seen.taken[#seen.taken + 1] = { ... } end,
+    unregister_all = function() seen.given_back = seen.given_back + 1 end,
     has_other = function(pinfo) return said.has_other and pinfo.src_port == 40000 end,
   }
   _G.ByteArray = { new = function(bytes, is_binary)
@@ -187,11 +187,11 @@ function T.test_what_is_not_ours()
   lu.assertEquals(streams:dissect(buffer("", 9), packet(7)), 0)
   lu.assertEquals(streams:dissect(buffer("YP.."), packet(7, { in_error_pkt = true })), 0)
   lu.assertEquals(#seen.packets, 0)
-  lu.assertEquals(streams:skipped(buffer(""), packet(7)), 0)
+  lu.assertEquals(streams:dissect_skipped(buffer(""), packet(7)), 0)
   lu.assertEquals(#seen.packets, 0)
-  lu.assertEquals(streams:skipped(buffer("login"), packet(7), "tree"), 5)
+  lu.assertEquals(streams:dissect_skipped(buffer("login"), packet(7), "tree"), 5)
   lu.assertEquals({ seen.ways, seen.shown[1][2] }, { { "add_skipped" }, "skipped" })
-  lu.assertEquals(streams:skipped(buffer("x"), packet(8)), 1)
+  lu.assertEquals(streams:dissect_skipped(buffer("x"), packet(8)), 1)
   lu.assertEquals(#seen.shown, 2)
 end
 
@@ -279,7 +279,7 @@ function T.test_the_beginning_of_a_file()
   lu.assertEquals(streams:options(), { "-d udp.port==2,yapp_serial" })
   lu.assertEquals({ seen.stops, seen.given_back }, { 1, 1 })
   streams:reset()
-  lu.assertEquals({ seen.stops, seen.given_back, reading.lines:unread(streams.conversations) }, { 2, 2, {} })
+  lu.assertEquals({ seen.stops, seen.given_back, reading.lines:list_unread(streams.conversations) }, { 2, 2, {} })
 end
 
 -- TCP and TLS ---------------------------------------------------------------------------------------------------------
@@ -384,7 +384,7 @@ local function of_usb(part, with)
     seen.usb = { kind, raw }
     return said.is_of_others
   end
-  usb.new = function() return { read = function() return part end } end
+  usb.new = function() return { read_packet = function() return part end } end
   local streams, reading = new_streams()
   for name, value in pairs(with or {}) do reading[name] = value end
   streams:dissect_usb("usbmon", buffer("raw bytes"), packet(7), "tree")

@@ -135,24 +135,24 @@ function T.test_conversations_that_nothing_was_read_of()
     local conversation = { is_tcp = true, from = A .. ":1", to = B .. ":2", payload = "first" }
     lines:await { conversation, { is_tcp = true, from = A .. ":1", to = B .. ":2", payload = "second" } }
     change(lines, lines:of(TCP, A, 1, B, 2))
-    local list = lines:unread { conversation }
+    local list = lines:list_unread { conversation }
     lu.assertIs(list[1], #list > 0 and conversation or nil)
     return #list == 1
   end
   lu.assertTrue(unread(function() end))
   lu.assertTrue(unread(function(lines, line) lines:source(line, 7) end))
-  lu.assertTrue(unread(function(_, line) lines_of.note_read(line, { payload = "first", status = "good" }) end))
+  lu.assertTrue(unread(function(_, line) lines_of.mark_read(line, { payload = "first", status = "good" }) end))
   for transfer, is_read in pairs { [{ payload = "first", status = "good" }] = true,
     [{ payload = "fi", status = "truncated" }] = true, [{ payload = "second", status = "good" }] = false } do
     lu.assertEquals(unread(function(lines, line)
       lines:source(line, 7)
-      lines_of.note_read(line, transfer)
+      lines_of.mark_read(line, transfer)
     end), not is_read)
   end
   local lines = new_lines()
-  lu.assertEquals(#lines:unread { { is_tcp = false, from = A .. ":1", to = B .. ":2" } }, 1)
+  lu.assertEquals(#lines:list_unread { { is_tcp = false, from = A .. ":1", to = B .. ":2" } }, 1)
   lines:source(lines:of(UDP, A, 1, B, 2), 7)
-  lu.assertEquals(#lines:unread { { is_tcp = false, from = A .. ":1", to = B .. ":2" } }, 0)
+  lu.assertEquals(#lines:list_unread { { is_tcp = false, from = A .. ":1", to = B .. ":2" } }, 0)
 end
 
 return T

@@ -26,14 +26,14 @@ function T.test_short_names()
     { "192.168.1.12:40000", "…12:40000" }, { "192.168.1.10", "…10" },
     { "[fe80::1]:14550", "…1]:14550" }, { "[fe80::2:1]:14550", "…2:1]:14550" }, { "host", "host" },
   } do
-    lu.assertEquals(self:short(row[1]), row[2])
+    lu.assertEquals(self:shorten(row[1]), row[2])
   end
 end
 
 -- The name of a sender after a list of ports, one each 0.1 s or at the times of a second list.
 local function name_after(ports, times)
   local self = senders.new()
-  for i, port in ipairs(ports) do self:note(V4, port, times and times[i] or i / 10) end
+  for i, port in ipairs(ports) do self:count_datagram(V4, port, times and times[i] or i / 10) end
   return self:name_of(V4, ports[#ports])
 end
 

@@ -306,7 +306,7 @@ function T.test_a_conversation_on_trial()
       local self, found, shown = new_trial(), nil, nil
       for at = 1, 3 * #frame, length do
         local packet = packet_of { at, (frame .. frame .. frame):sub(at, at + length - 1) }
-        local earlier = not found and self:try(packet)
+        local earlier = not found and self:try_packet(packet)
         found = found or earlier and at
         for _, one in ipairs(earlier or {}) do self:add(one, true) end
         local contents = found and self:add(packet, true)
@@ -324,8 +324,8 @@ end
 function T.test_a_trial_that_a_whole_frame_ends()
   for bytes, is_of_others in pairs { [B:sub(8) .. A] = false, [A] = true } do
     local self = new()
-    lu.assertNil(self:try(packet_of { 1, B:sub(1, 7), is_datagram = true }))
-    local earlier = self:try(packet_of { 2, bytes, is_datagram = true }, true)
+    lu.assertNil(self:try_packet(packet_of { 1, B:sub(1, 7), is_datagram = true }))
+    local earlier = self:try_packet(packet_of { 2, bytes, is_datagram = true }, true)
     lu.assertEquals(#earlier, 1)
     lu.assertEquals(earlier[1].is_found, is_of_others)
     lu.assertEquals(self.trial_count, 0)
@@ -338,7 +338,7 @@ function T.test_a_trial_that_fails()
   local function has_failed(is_tcp, ...)
     local self = new()
     for i, bytes in ipairs { ... } do
-      self:try(packet_of { i, bytes, is_tcp = is_tcp, is_datagram = not is_tcp })
+      self:try_packet(packet_of { i, bytes, is_tcp = is_tcp, is_datagram = not is_tcp })
     end
     return self:has_failed("")
   end
@@ -350,17 +350,17 @@ function T.test_a_trial_that_fails()
   lu.assertFalse(has_failed(true, head, rest))
   lu.assertFalse(has_failed(true, "textY", "text", "other YP text", A))
   local self = new()
-  for i = 1, 65 do self:try(packet_of { i, head, stream = "a" .. i, is_tcp = true }) end
+  for i = 1, 65 do self:try_packet(packet_of { i, head, stream = "a" .. i, is_tcp = true }) end
   lu.assertTrue(self:has_failed("a1")) -- no more than 64 are on trial
   lu.assertFalse(self:has_failed("a65"))
 end
 
 function T.test_a_trial_ends()
   local self = new()
-  for i = 1, 1000 do lu.assertNil(self:try(packet_of { i, "textY", stream = "a" .. i })) end
+  for i = 1, 1000 do lu.assertNil(self:try_packet(packet_of { i, "textY", stream = "a" .. i })) end
   lu.assertTrue(self.trial_count <= 64)
   local claim = generator.header(5, 60000) .. ("x"):rep(100)
-  for i = 1, 200 do lu.assertNil(self:try(packet_of { i, claim, stream = "b" })) end
+  for i = 1, 200 do lu.assertNil(self:try_packet(packet_of { i, claim, stream = "b" })) end
   lu.assertTrue(self.trial_count <= 65)
   lu.assertTrue(not self.trials.b or #self.trials.b.packets < 60)
   lu.assertEquals(self:unfinished(), {})
@@ -382,7 +382,7 @@ function T.test_bytes_by_themselves()
   take(self, { { 1, A:sub(1, 9), "9 wait" } })
   local bytes = "x" .. B .. A:sub(1, 20)
   for _ = 1, 2 do
-    lu.assertEquals(in_words({ findings = self:read(bytes), pending = 0 }, bytes),
+    lu.assertEquals(in_words({ findings = self:split(bytes), pending = 0 }, bytes),
       "skipped 1 @0, good 6 @1, incomplete 5 @18 -5")
   end
   take(self, { { 2, A:sub(10), "good 5 in 1,2" } })
@@ -434,7 +434,7 @@ local function segments(rows, first_seq)
       local header = { ack = ack, is_syn = row.is_syn, seq = (first_seq + (row.is_sent or 1)) % 0x100000000, length = 0,
         number = i, epoch = 1000 + i / 100 }
       local is_opposite = ack and not row.is_sent
-      self:note_header(is_opposite and "other" or "", is_opposite and "" or "other", header)
+      self:add_header(is_opposite and "other" or "", is_opposite and "" or "other", header)
     end
   end
   return self
@@ -544,7 +544,7 @@ end
 function T.test_what_a_header_says_of_its_stream()
   local self = new()
   local header = { seq = 5, length = 0 }
-  local function follows() return self:note_header("", "other", header) and true or false end
+  local function follows() return self:add_header("", "other", header) and true or false end
   lu.assertFalse(follows())
   self:add(packet_of { 1, A }, true)
   lu.assertFalse(follows()) -- TCP told no sequence number
@@ -563,7 +563,7 @@ function T.test_bytes_of_others_in_front()
       local function seq(at) return (first_seq + at) % 0x100000000 end
       for _, one in ipairs(row[1]) do
         local segment = { seq = seq(one[1]), length = one[2], is_ours = one[3] or false }
-        lu.assertNil(self:note_header("", "other", segment))
+        lu.assertNil(self:add_header("", "other", segment))
       end
       take(self, { { 1, MESSAGE[2], "17 held", seq = seq(row[2] + 17) },
         { 2, MESSAGE[1], "good 1 @0, good 2 in 1", seq = seq(row[2]) } })

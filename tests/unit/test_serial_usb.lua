@@ -41,7 +41,7 @@ end
 local function lines_of(kind, packets)
   local self, list = usb.new(), {}
   for i, packet in ipairs(packets) do
-    local part = self:read(kind, packet)
+    local part = self:read_packet(kind, packet)
     list[i] = part and part.line.name .. " " .. part.bytes .. (part.truncated and " ..." or "") or "nothing"
   end
   return list
@@ -66,7 +66,7 @@ function T.test_the_other_direction()
   each_kind(function(kind, make)
     local self = usb.new()
     for endpoint, name in pairs { [0x81] = "rx", [0x01] = "tx" } do
-      local line = self:read(kind, make(BULK, endpoint, "abc")).line
+      local line = self:read_packet(kind, make(BULK, endpoint, "abc")).line
       local other = name == "rx" and "tx" or "rx"
       lu.assertEquals({ line.name, line.opposite }, { "usb1.6.1#" .. name, "usb1.6.1#" .. other })
     end

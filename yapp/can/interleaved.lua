@@ -202,13 +202,13 @@ local function forgive_copies(self, message)
 end
 
 -- Note the frames that a message was good without.
-local function note_duplicates(self)
+local function keep_duplicates(self)
   local original
   for _, frame in ipairs(self.frames) do
     if frame.is_taken then
       original = frame
     else
-      self.reassembly:note_duplicate(frame.key, original.key)
+      self.reassembly:keep_duplicate(frame.key, original.key)
     end
   end
 end
@@ -227,7 +227,7 @@ local function finish_candidate(self, index, frames, padding, status)
     for _, frame in ipairs(frames) do frame.is_taken = true end
     if candidate.anomaly then withdraw(candidate.anomaly) end
     forgive_copies(self, message)
-    if self.starts == 0 then note_duplicates(self) end
+    if self.starts == 0 then keep_duplicates(self) end
   end
   drop_frames(self)
   return message
@@ -267,7 +267,7 @@ local function end_newest(self, last)
   end
   local received = self:received(message)
   local padding = can_id.padding(last.data, last.length, message.size - received + last.length)
-  if not padding then status = self.reassembly:misfit(message, received) end
+  if not padding then status = self.reassembly:add_misfit(message, received) end
   for i = first_behind(self, message), #self.frames do frames[#frames + 1] = self.frames[i] end
   finish_candidate(self, index, frames, padding, status)
 end
@@ -291,7 +291,7 @@ function Pool:add_fragment(frame)
   local completed = is_end and complete(self)
   if completed then return "last", completed end
   if newest.status then
-    kind, pooled.orphan = "other", self.reassembly:orphan(frame)
+    kind, pooled.orphan = "other", self.reassembly:add_orphan(frame)
     pooled.orphan.is_open = true
   else
     newest[#newest + 1], newest.time = frame.key, frame.time -- as it seems
@@ -301,7 +301,7 @@ function Pool:add_fragment(frame)
     end
   end
   if is_full(self) then
-    if kind == "fragment" then self.reassembly:misfit(newest, self.bytes) end
+    if kind == "fragment" then self.reassembly:add_misfit(newest, self.bytes) end
     for _, candidate in ipairs(self.open) do give_up(self, candidate) end
     self.open = {}
     drop_frames(self)

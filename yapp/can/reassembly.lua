@@ -91,7 +91,7 @@ local function is_repeated_end(self, frame)
 end
 
 --- Add that the message of a Middle or End is not known.
-function Reassembly:orphan(frame)
+function Reassembly:add_orphan(frame)
   local name = can_id.CTRL_NAMES[frame.can_id.ctrl]
   local anomaly = self:add_anomaly("fragment.orphan", nil, "%s fragment: no Start captured", name)
   anomaly.is_copy = is_repeated_end(self, frame) or nil
@@ -100,7 +100,7 @@ end
 
 --- Add that a message has more or fewer bytes than its size.
 -- returns  its status
-function Reassembly:misfit(message, received)
+function Reassembly:add_misfit(message, received)
   local status = received < message.size and "incomplete" or "overrun"
   message.received = received
   self:add_anomaly("fragment." .. status, message, MISFIT[status], frame_key.number(message[1]),
@@ -141,7 +141,7 @@ end
 
 --- Note that a fragment came twice.
 -- key, original  frame keys: of the second one, and of the first
-function Reassembly:note_duplicate(key, original)
+function Reassembly:keep_duplicate(key, original)
   if self.keeps then self.store:keep_duplicate(key, original) end
 end
 
@@ -152,16 +152,16 @@ local function close(self, slot)
 end
 
 -- The messages that are open in a slot, oldest Start first.
-local function open_in(self, slot)
+local function list_open(self, slot)
   local open = self.open[slot]
   return open and (open.messages and open:messages() or { open }) or {}
 end
 
 -- Return the newest message of each slot, in the order of their Starts.
-local function newest_messages(self)
+local function list_newest(self)
   local list = {}
   for slot in pairs(self.open) do
-    local messages = open_in(self, slot)
+    local messages = list_open(self, slot)
     list[#list + 1] = messages[#messages]
   end
   table.sort(list, function(a, b) return a[1] < b[1] end)
@@ -170,11 +170,11 @@ end
 
 -- Give up the messages with the oldest Starts, to make room for one more.
 local function make_room(self)
-  local list = newest_messages(self)
+  local list = list_newest(self)
   local count = #list - math.floor(self.max_open / 2)
   for i = 1, count do
     local slot = list[i].slot
-    for _, message in ipairs(open_in(self, slot)) do self:give_up(message) end
+    for _, message in ipairs(list_open(self, slot)) do self:give_up(message) end
     close(self, slot)
   end
   self:add_anomaly("fragment.incomplete", nil,
@@ -182,7 +182,7 @@ local function make_room(self)
 end
 
 -- Make a pool of the open message in the slot of a frame.
-local function pool_of(self, message, frame)
+local function make_pool(self, message, frame)
   for i = 2, self.keeps and #message or 0 do
     self.store:keep_anomalies(message[i], {})
   end
@@ -202,7 +202,7 @@ end
 -- another bus: where no bus is known, or a converter lost the buses.  Later frames decide.
 -- returns  a pool of can.interleaved if the message stays open, else nil
 local function supersede(self, frame)
-  local open, list = self.open[frame.slot], open_in(self, frame.slot)
+  local open, list = self.open[frame.slot], list_open(self, frame.slot)
   local newest, anomaly = list[#list], nil
   local chunks = newest.chunks
   if not newest.status then
@@ -216,7 +216,7 @@ local function supersede(self, frame)
       self:give_up(open)
       return close(self, frame.slot)
     end
-    open = pool_of(self, open, frame)
+    open = make_pool(self, open, frame)
   end
   if open:supersede(anomaly) then return open end
   close(self, frame.slot)
@@ -255,7 +255,7 @@ local function is_plausible(self, frame, size, reserved)
   return is_known or fields.seq == 0 or self.accepted[fields.id]
 end
 
-local function start(self, frame)
+local function add_start(self, frame)
   local sum, size, reserved = can_id.start(frame.data)
   if not is_plausible(self, frame, size, reserved) then return nil end
   local slot, fields = frame.slot, frame.can_id
@@ -289,7 +289,7 @@ end
 -- Middles and Ends -------------------------------------------------------------------------------
 
 -- Add a Middle or End whose slot has no message, or a pool.
-local function continue_other(self, frame, pool)
+local function add_other_fragment(self, frame, pool)
   local fields = frame.can_id
   if pool then
     local kind, message = pool:add_fragment(frame)
@@ -297,14 +297,14 @@ local function continue_other(self, frame, pool)
     return kind, message
   end
   if not frame.accepts_all and (fields.ctl ~= 0 or not frame.source.size) then return nil end
-  self:orphan(frame)
+  self:add_orphan(frame)
   return "other"
 end
 
 -- End a message with its last frame.  A frame comes twice if its sender missed the acknowledgement,
 -- or if a recorder holds it twice.  So a message that does not fit, and has such frames, is pooled:
 -- if its CRC is good without some of them, the pool leaves these out.
-local function finish_last(self, message, frame)
+local function end_message(self, message, frame)
   local chunks, status = message.chunks, nil
   local needed = frame.reported + message.size - chunks.received
   local padding = can_id.padding(frame.data, frame.reported, needed)
@@ -312,19 +312,19 @@ local function finish_last(self, message, frame)
   if not padding then
     if chunks.repeated and not status then
       message[#message], chunks[#chunks] = nil, nil -- the pool adds the frame
-      return continue_other(self, frame, pool_of(self, message, frame))
+      return add_other_fragment(self, frame, make_pool(self, message, frame))
     end
-    status = self:misfit(message, chunks.received)
+    status = self:add_misfit(message, chunks.received)
   end
   close(self, frame.slot)
   self:finish(message, frame.can_id, concat(chunks), padding, status)
   return "last", message
 end
 
-local function continue(self, frame)
+local function add_fragment(self, frame)
   local message = self.open[frame.slot]
   local chunks = message and message.chunks
-  if not chunks then return continue_other(self, frame, message) end
+  if not chunks then return add_other_fragment(self, frame, message) end
   local data, reported, index = frame.data, frame.reported, #message
   local received = chunks.received + reported
   message[index + 1] = frame.key
@@ -336,11 +336,11 @@ local function continue(self, frame)
     chunks[index] = data
   end
   if frame.can_id.ctrl == END then
-    return finish_last(self, message, frame)
+    return end_message(self, message, frame)
   end
   local excess = received - message.size
   if excess > 0 and excess > (chunks.repeated or 0) then
-    message.status = self:misfit(message, received)
+    message.status = self:add_misfit(message, received)
     message.chunks = { received = received, is_truncated = true } -- its bytes are of no use
   end
   return "fragment", message
@@ -349,7 +349,7 @@ end
 -- Other frames -----------------------------------------------------------------------------------
 
 -- A message of one frame has a record of its own, with these fields alone.
-local function single(_, frame)
+local function add_single(_, frame)
   local data, reported, source = frame.data, frame.reported, frame.source
   local size = source.size and can_id.single_size(data, reported, source.min_size, source.size)
   if not (frame.accepts_all or size and frame.can_id.ctl == 0) then return nil end
@@ -363,15 +363,15 @@ local function single(_, frame)
   }
 end
 
-local function undefined(self, frame)
+local function add_undefined(self, frame)
   if not frame.accepts_all then return nil end
   self:add_anomaly("can.ctrl.invalid", nil, "CAN CTRL is %d; 0 to 3 are defined", frame.can_id.ctrl)
   return "other"
 end
 
 -- By CAN CTRL: (reassembly, frame) -> kind, message.
-local ADDERS = { [0] = single, start, continue, continue }
-for ctrl = #ADDERS + 1, 15 do ADDERS[ctrl] = undefined end
+local ADDERS = { [0] = add_single, add_start, add_fragment, add_fragment }
+for ctrl = #ADDERS + 1, 15 do ADDERS[ctrl] = add_undefined end
 
 -- What a frame is ---------------------------------------------------------------------------------
 
@@ -413,7 +413,7 @@ end
 local function find_in(self, slot, key)
   local found, index = self.store:find(slot, key)
   if found then return found, index end
-  for _, message in ipairs(open_in(self, slot)) do
+  for _, message in ipairs(list_open(self, slot)) do
     index = frame_key.last_until(message, key)
     if message[index] == key then return message, index end
   end
@@ -440,14 +440,14 @@ function Reassembly:recall(frame)
     return is_last and "last" or "fragment", message, anomalies, index
   end
   local kind = anomalies and "other"
-  if frame.can_id.ctrl == 0 then kind, message = single(self, frame) end
+  if frame.can_id.ctrl == 0 then kind, message = add_single(self, frame) end
   return kind, message, anomalies
 end
 
 --- Return the messages that have neither ended nor been superseded, in the order of their Starts.
 function Reassembly:unfinished()
   local list = {}
-  for _, message in ipairs(newest_messages(self)) do
+  for _, message in ipairs(list_newest(self)) do
     if not message.status then list[#list + 1] = message end
   end
   return list

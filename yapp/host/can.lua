@@ -118,7 +118,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
   if passed then return passed end
   local result = reading:read_frame(frame)
   if not result then
-    self.deferral:note(tvb, pinfo)
+    self.deferral:remember(tvb, pinfo)
     return 0
   end
   if wants.shows or not result.is_usual then self.view:show(result, wants, tvb, pinfo, tree) end
@@ -127,7 +127,7 @@ end
 
 --- Return the dissector for SocketCAN's table of ids, where match_uint is the CAN id.
 -- calls  { begun, ended = numbers }, which it counts
-function Dissector:of_table(calls)
+function Dissector:new_table_dissector(calls)
   local settings, dissect = self.settings, self.dissect
   return function(tvb, pinfo, tree)
     calls.begun = calls.begun + 1
@@ -139,7 +139,7 @@ end
 
 --- Dissect a frame that the user calls YAPP, but whose CAN id is not known.
 -- returns  the number of bytes that are ours
-function Dissector:without_id(tvb, pinfo, tree)
+function Dissector:dissect_without_id(tvb, pinfo, tree)
   if not (tvb:len() > 0 and self.deferral:defer(tvb, pinfo, tree, nil, true)) then
     self.view:show_without_id(self.builder:wants(tree, pinfo, true), tvb, pinfo, tree)
   end

@@ -103,7 +103,7 @@ end
 
 -- Note whether the option epb_dropcount, code 4 and 8 bytes, may be among the bytes at hand.  That
 -- costs less than to read the options of each block.
-local function note_drop_option(window)
+local function find_drop_option(window)
   local option = window.is_little and "\4\0\8\0" or "\0\4\0\8"
   window.may_have_drops = find(window.text, option, 1, true) ~= nil
 end
@@ -116,7 +116,7 @@ function Window:has(offset, count)
   if not more then return false end
   self.text = self:bytes(offset, CHUNK) .. more
   self.start, self.stop = offset, offset + #self.text
-  note_drop_option(self)
+  find_drop_option(self)
   return offset + count <= self.stop
 end
 
@@ -163,7 +163,7 @@ end
 
 -- Note a time stamp.  A recorder without a clock gives all packets one stamp.
 -- of  its interface, or file: others may begin at another time
-local function note_stamp(self, of, seconds)
+local function compare_stamp(self, of, seconds)
   of.stamp = of.stamp or seconds
   if seconds ~= of.stamp then self.stamps_differ = true end
 end
@@ -235,7 +235,7 @@ local function new_interface(self, linktype, name)
 end
 
 -- Note an interface that may carry YAPP.
-local function note_interface(self, interface)
+local function add_bus_interface(self, interface)
   local linktype = interface.linktype
   local is_mixed, is_carrier = INDEX_OF[linktype] ~= nil, IS_CARRIER[linktype]
   local kind = is_carrier and "carriers" or "yapp_interfaces"
@@ -258,7 +258,7 @@ local function read_interface(self, window, offset, length)
   interface.per_second = units_per_second(options[9])
   interface.shift = window:value(options[14] or "")
   if INDEX_OF[linktype] or linktype == SOCKETCAN or IS_SERIAL[linktype] then
-    note_interface(self, interface)
+    add_bus_interface(self, interface)
   else
     interface.bus = 0
   end
@@ -281,7 +281,7 @@ end
 
 -- Note how many packets were dropped in front of the latest one.
 -- seconds  since 1970 at which that was captured
-local function note_drops(self, window, interface, seconds, options)
+local function add_drops(self, window, interface, seconds, options)
   local count = window:value(options[4] or "")
   if count == 0 then return end
   interface.accounted = interface.accounted + count
@@ -312,7 +312,7 @@ local function read_enhanced(self, window, offset, length, interface, seconds)
   if self.keeps then keep_bus(self, window, interface, offset + 28, seconds, bus) end
   if not window.may_have_drops then return end
   options = options or packet_options(window, offset, length)
-  note_drops(self, window, interface, seconds, options)
+  add_drops(self, window, interface, seconds, options)
 end
 
 -- Read a block with a packet, of the enhanced or of the obsolete kind.
@@ -327,7 +327,7 @@ local function read_packet(self, window, offset, length, kind)
   if not interface then return self.keeps end
   local seconds = seconds_of(interface, high, low)
   if self.start == NEXT then self.start = seconds end
-  note_stamp(self, interface, seconds)
+  compare_stamp(self, interface, seconds)
   if kind == ENHANCED then
     read_enhanced(self, window, offset, length, interface, seconds)
   elseif self.keeps then
@@ -388,7 +388,7 @@ local SECTION = 0x0A0D0D0A
 -- returns  the length of its block
 local function read_section(self, window, offset)
   window.is_little = window:bytes(offset + 8, 4) == "\77\60\43\26"
-  note_drop_option(window)
+  find_drop_option(window)
   self.first = #self.interfaces
   self.firsts[#self.firsts + 1] = self.first
   return window:number(offset + 4, 4)
@@ -428,7 +428,7 @@ local function read_pcap(self, window, is_little, fractions)
   while offset + 16 <= window.stop or interface and window:has(offset, 16) do
     local seconds, fraction, length = three_numbers(window, offset)
     local time = seconds + fraction / fractions
-    note_stamp(self, self, time)
+    compare_stamp(self, self, time)
     if length > MAX_BLOCK or self.stamps_differ and not interface then break end
     if interface then
       self.count = self.count + 1

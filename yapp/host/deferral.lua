@@ -36,7 +36,7 @@ function M.new(reading, builder, buses, dissect)
     builder = builder,
     buses = buses,
     dissect = dissect,
-    on_note = false, -- function() while a statistic runs, see Deferral:open
+    on_remember = false, -- function() while a statistic runs, see Deferral:open
     is_undecided = false, -- whether frames may be deferred, see Deferral:decide
     defers = false, -- whether they are
     -- The frame that waits:
@@ -57,15 +57,15 @@ function Deferral:reset()
 end
 
 --- Begin to note frames: a statistic begins, and its tap of all packets calls Deferral:on_header.
--- on_note  function(), called when a frame is noted
-function Deferral:open(on_note)
-  self.on_note = on_note
+-- on_remember  function(), called when a frame is noted
+function Deferral:open(on_remember)
+  self.on_remember = on_remember
   self:reset_counts()
 end
 
 --- End to note frames.
 function Deferral:close()
-  self.on_note, self.number = false, false
+  self.on_remember, self.number = false, false
 end
 
 --- Count anew.
@@ -88,11 +88,11 @@ end
 
 --- Note a frame that no dissector has accepted yet.
 -- returns  whether a tap of its packet will read its header
-function Deferral:note(tvb, pinfo)
-  if not (self.on_note and socketcan.is_record(tvb, pinfo)) then return false end
+function Deferral:remember(tvb, pinfo)
+  if not (self.on_remember and socketcan.is_record(tvb, pinfo)) then return false end
   self.number, self.offset, self.deferred = pinfo.number, tvb:offset(), false
   self.captured, self.length = tvb:len(), tvb:reported_len()
-  self.on_note()
+  self.on_remember()
   return true
 end
 
@@ -104,7 +104,7 @@ function Deferral:defer(tvb, pinfo, tree, id, accepts_all)
   if self.is_undecided then -- asked now: the tap has no tree
     self:decide(self.builder:wants(tree, pinfo, false))
   end
-  if not (self.defers and self:note(tvb, pinfo)) then return false end
+  if not (self.defers and self:remember(tvb, pinfo)) then return false end
   self.deferred = { id = id, accepts_all = accepts_all }
   return true
 end

@@ -14,7 +14,7 @@ local M = {}
 local TCP = 2 -- pinfo.port_type
 local TABLES = { [true] = DissectorTable.get("tcp.port"), [false] = DissectorTable.get("udp.port") }
 
-local taken = {} -- list of { table of dissectors, port }
+local registered = {} -- list of { table of dissectors, port }
 local own, dissect -- Proto; its dissector, which most captures do not need
 
 --- Use a protocol from now on.
@@ -25,12 +25,12 @@ function M.use(proto, dissector)
 end
 
 --- Take the server's port of a conversation.
-function M.take(is_tcp, port)
+function M.register(is_tcp, port)
   local ports = TABLES[is_tcp]
   if ports:get_dissector(port) then return end -- it may be ours already
   own.dissector = dissect
   ports:add(port, own)
-  taken[#taken + 1] = { ports, port }
+  registered[#registered + 1] = { ports, port }
 end
 
 local function table_of(pinfo)
@@ -54,12 +54,12 @@ function M.has_other(pinfo)
 end
 
 --- Give back all ports, but those that the user has given to another protocol since.
-function M.give_back()
-  for _, row in ipairs(taken) do
+function M.unregister_all()
+  for _, row in ipairs(registered) do
     local ports, port = row[1], row[2]
     if tostring(ports:get_dissector(port)) == own.name then ports:remove(port, own) end
   end
-  taken = {}
+  registered = {}
 end
 
 return M

@@ -44,7 +44,7 @@ function Dissector:reset()
   self.in_pieces, self.inside, self.usb = {}, false, usb.new()
   self.conversations, self.read_late = {}, {}
   tcp.stop()
-  ports.give_back()
+  ports.unregister_all()
 end
 
 --- Expect conversations, which the bytes of the file have.
@@ -53,7 +53,7 @@ function Dissector:expect(conversations)
   self.reading.lines:await(conversations)
   for _, one in ipairs(conversations) do
     self.conversations[#self.conversations + 1] = one
-    ports.take(one.is_tcp, one.port)
+    ports.register(one.is_tcp, one.port)
   end
 end
 
@@ -122,7 +122,7 @@ local function may_go_on(streams, pinfo)
 end
 
 -- Try a packet of an unknown conversation; return whether it is YAPP.
-local function try(self, packet, pinfo)
+local function try_packet(self, packet, pinfo)
   local is_found, is_in_pieces, has_failed = self.reading:try_packet(packet)
   local port = math.min(pinfo.src_port, pinfo.dst_port)
   local client_port = math.max(pinfo.src_port, pinfo.dst_port)
@@ -131,7 +131,7 @@ local function try(self, packet, pinfo)
   -- Another protocol that has a port may have taken the first pieces.
   local is_late = has_failed or is_in_pieces and ports.has_other(pinfo)
   if is_late then table.insert(self.read_late, one) end
-  if is_found then ports.take(packet.is_tcp, port) end
+  if is_found then ports.register(packet.is_tcp, port) end
   return is_found
 end
 
@@ -148,7 +148,8 @@ function Dissector:accepts(tvb, pinfo, tree)
   if not (may_begin and reading:may_be_yapp(bytes) or may_go_on(streams, pinfo)) then
     return false
   end
-  return try(self, whole_packet(self, tvb, pinfo, self.builder:wants(tree, pinfo, false)), pinfo)
+  local wants = self.builder:wants(tree, pinfo, false)
+  return try_packet(self, whole_packet(self, tvb, pinfo, wants), pinfo)
 end
 
 --- Return notes on conversations whose packets hold no whole header: a list of texts.
@@ -161,7 +162,7 @@ end
 --- Return the options of tshark that decode the conversations that were not read, or not from
 -- their first bytes on: a list.
 function Dissector:options()
-  local unread = self.reading.lines:unread(self.conversations)
+  local unread = self.reading.lines:list_unread(self.conversations)
   return senders.options(joined(unread, self.read_late))
 end
 
@@ -186,7 +187,7 @@ end
 local function dissect_segment(self, segment, tvb, pinfo, tree)
   local line, start = line_of(self, pinfo), segment.start
   local has_order = pinfo.visited or
-    self.reading.streams:note_header(line.key, line.opposite, segment)
+    self.reading.streams:add_header(line.key, line.opposite, segment)
   line.is_direct = line.is_direct or segment.is_ours
   line.is_over = line.is_over or segment.is_end
   if segment.length == 0 or not (segment.is_ours or has_order) then return end
@@ -260,14 +261,14 @@ local function part_tvb(part, tvb)
   return tvb(part.offset):tvb()
 end
 
--- Return what a packet of USB has of a line that has YAPP or may have it, see Usb:read, and the
--- line; nil for nothing.
+-- Return the bytes of a packet of USB, see Usb:read_packet, and their line.  Return nil if the line
+-- cannot have YAPP.
 local function part_of_line(self, kind, raw)
   local reading = self.reading
   local streams = reading.streams
   local is_idle = streams.trial_count == 0 and not next(reading.found)
   if is_idle and usb.is_of_others(kind, raw) then return nil end
-  local part = self.usb:read(kind, raw)
+  local part = self.usb:read_packet(kind, raw)
   if not part or part.bytes == "" then return nil end
   local line = reading.lines:of_adapter(part.line)
   local may_be_yapp = reading.found[line.trial_key] or streams.may_begin(part.bytes) or
@@ -292,7 +293,7 @@ end
 
 --- Dissect bytes of a raw dump that are of no frame.
 -- returns  the number of bytes that are ours
-function Dissector:skipped(tvb, pinfo, tree)
+function Dissector:dissect_skipped(tvb, pinfo, tree)
   local size = tvb:len()
   if size > 0 then
     local wants = self.builder:wants(tree, pinfo, pinfo.visited)

@@ -24,7 +24,7 @@ local header = {}
 
 -- Read the values of the wanted fields alone: on 4.0 the value of an item without bytes, such as a
 -- packet comment, throws past Lua.
-local function by_name(names, ok, ...)
+local function pick_fields(names, ok, ...)
   local found = {}
   for _, info in ipairs(ok and { ... } or {}) do
     if names[info.name] then found[info.name] = info.value end
@@ -36,7 +36,7 @@ end
 -- names    { [filter name] = true } of the wanted fields
 -- returns  { [filter name] = value }
 function M.fields_of(names)
-  return by_name(names, pcall(all_field_infos))
+  return pick_fields(names, pcall(all_field_infos))
 end
 
 local NAMES = { ["can.id"] = true, ["can.flags.xtd"] = true, ["can.flags.rtr"] = true }
@@ -121,7 +121,7 @@ local thrown = 0
 
 -- Hand a frame on to SocketCAN.  Of a truncated frame SocketCAN sees only the captured bytes, if
 -- the frame cannot be YAPP or if dissectors have thrown too often.
-local function hand_on(inner, can_id, tvb, pinfo, tree)
+local function call_socketcan(inner, can_id, tvb, pinfo, tree)
   local length = tvb:len()
   if length < HEADER then return 0 end
   local is_complete = length == tvb:reported_len()
@@ -160,7 +160,7 @@ function M.wrap(proto, is_first_pass)
     header.number = pinfo.number
     header.can_id = can_id
     if is_first_pass and pinfo.visited then M.unwrap() end
-    return hand_on(origin.inner, can_id, tvb, pinfo, tree)
+    return call_socketcan(origin.inner, can_id, tvb, pinfo, tree)
   end
   for _, row in ipairs(ORIGINS) do
     local dissectors, value = DissectorTable.get(row[1]), row[2]

@@ -25,7 +25,7 @@ local is_watching, thrown = false, 0
 local segment, inside -- that TCP is dissecting, nil for none; number of the packet that TCP has
 
 -- Read a header; nil if it is not there or if an ICMP error only quotes it.
-local function read(tvb, pinfo)
+local function read_header(tvb, pinfo)
   if tvb:len() < HEADER or pinfo.in_error_pkt then return nil end
   local seq, ack, size, flags = Struct.unpack(">I4I4BB", tvb:raw(4, 10))
   local start, is_syn = band(size, 0xF0) / 4, band(flags, SYN) ~= 0
@@ -51,9 +51,10 @@ function M.stop()
 end
 
 --- Read the header of every segment from now on.
--- proto    Proto for the watch
--- hand_on  function(segment, tvb, pinfo, tree), called when TCP has shown a segment; see M.current
-function M.watch(proto, hand_on)
+-- proto       Proto for the watch
+-- on_segment  function(segment, tvb, pinfo, tree), called when TCP has shown a segment: see
+--             M.current
+function M.watch(proto, on_segment)
   if is_watching or thrown >= MAX_THROWN then return end
   is_watching = true
   function proto.dissector(tvb, pinfo, tree)
@@ -61,11 +62,11 @@ function M.watch(proto, hand_on)
       segment, thrown = nil, thrown + 1
       if thrown >= MAX_THROWN then M.stop() end
     end
-    local outer, current = segment, read(tvb, pinfo)
+    local outer, current = segment, read_header(tvb, pinfo)
     segment, inside = current, pinfo.number
     local ok, length = pcall(tcp.call, tcp, tvb, pinfo, tree)
     segment, inside = outer, outer and inside
-    if current then hand_on(current, tvb, pinfo, tree) end
+    if current then on_segment(current, tvb, pinfo, tree) end
     return ok and length or tvb:len()
   end
   protocols:add(TCP, proto)

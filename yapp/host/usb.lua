@@ -45,15 +45,15 @@ function M.notes()
 end
 
 --- Hand on each packet of USB from now on.  Call it once or more.
--- proto    Proto for the watch
--- hand_on  function(kind, tvb, pinfo, tree): kind of serial.usb
-function M.watch(proto, hand_on)
+-- proto      Proto for the watch
+-- on_packet  function(kind, tvb, pinfo, tree): kind of serial.usb
+function M.watch(proto, on_packet)
   if is_watching then return end
   is_watching = true
   function proto.dissector(tvb, pinfo, tree)
     local encapsulation = pinfo.match_uint
     local length = show(inner[encapsulation], tvb, pinfo, tree)
-    hand_on(kind_of[encapsulation], tvb, pinfo, tree)
+    on_packet(kind_of[encapsulation], tvb, pinfo, tree)
     return length
   end
   for _, row in ipairs(KINDS) do

@@ -26,7 +26,7 @@ function M.new(types, history, copies)
 end
 
 -- Begin the record of a message: it may have served another one.
-local function begin(message, frame, transfer)
+local function begin_message(message, frame, transfer)
   message.transfer = transfer
   message.source = frame.source
   message.seq = frame.seq
@@ -92,9 +92,9 @@ end
 -- transfer  { status, size, payload }; status = "good" if it is proved complete; "bad" (CRC);
 --           "truncated" by the capture; "incomplete"; "overrun"
 -- returns   the message
-function Messages:read(message, frame, transfer)
+function Messages:fill(message, frame, transfer)
   local of_type = frame.source.message
-  begin(message, frame, transfer)
+  begin_message(message, frame, transfer)
   if not of_type then
     find_like(self, message)
   elseif not IS_BROKEN[message.status] then

@@ -85,8 +85,8 @@ end
 -- CAN ---------------------------------------------------------------------------------------------
 
 -- Read the message that a frame ends.
-local function read_message(self, of_frame, kind, transfer)
-  local message = self.messages:read(self.message, of_frame, transfer)
+local function end_message(self, of_frame, kind, transfer)
+  local message = self.messages:fill(self.message, of_frame, transfer)
   local is_kept = kind == "single" or of_frame.visited or of_frame.is_only_pass
   if not is_kept then self.reassembly:keep(transfer, message.has_fault) end
   return message
@@ -98,7 +98,7 @@ local function new_frame_result(self, of_frame, kind, transfer, anomalies, index
   local result, message = self.result, false
   of_frame.seq = of_frame.can_id.seq
   if kind == "last" or kind == "single" then
-    message = read_message(self, of_frame, kind, transfer)
+    message = end_message(self, of_frame, kind, transfer)
   end
   result.kind = kind
   result.frame = of_frame
@@ -199,7 +199,7 @@ end
 -- CRC or bytes missing.  Ten bytes of its header are given, so chance does not make one.
 function Reading:is_yapp(bytes)
   if not frame.find(bytes, 1) then return false end
-  for _, finding in ipairs(self.streams:read(bytes)) do
+  for _, finding in ipairs(self.streams:split(bytes)) do
     local id = finding.status ~= "skipped" and frame.parse(bytes, finding.offset + 1)
     if finding.status == "good" or id and self.types:size_of(id) then return true end
   end
@@ -222,11 +222,11 @@ local function finding_result(self, packet, finding, index)
   end
   local transfer, id, seq, anomalies = transfers.new(finding, finding.bytes or packet.bytes)
   local source = self.lines:source(packet.line, id)
-  if packet.line.awaited then lines.note_read(packet.line, transfer) end
+  if packet.line.awaited then lines.mark_read(packet.line, transfer) end
   local of_frame = records.new_serial_frame(packet, index, source, seq)
   local result = records.new_result("single", of_frame)
   result.transfer, result.anomalies = transfer, anomalies
-  result.message = self.messages:read(records.new_message(), of_frame, transfer)
+  result.message = self.messages:fill(records.new_message(), of_frame, transfer)
   return result
 end
 
@@ -265,7 +265,7 @@ end
 function Reading:try_packet(packet)
   local line = packet.line
   if self.found[line.trial_key] then return false end -- add_packet has left it to others
-  local earlier = self.streams:try(packet, self:is_yapp(packet.bytes))
+  local earlier = self.streams:try_packet(packet, self:is_yapp(packet.bytes))
   if not earlier then return false end
   self.found[line.trial_key] = true
   for _, one in ipairs(earlier) do self:add_packet(one) end

@@ -72,12 +72,12 @@ function M.new(size_of, patience)
     is_ending = false, -- whether no more bytes come
     found = false, -- the open candidate that the search waited at last
   }, Framer)
-  self:forget()
+  self:drop_candidates()
   return self
 end
 
 -- Drop all candidates.
-function Framer:forget()
+function Framer:drop_candidates()
   self.candidates = {} -- those that failed and those that are open, by start
   self.first, self.last = 1, 0
   self.first_open = 1  -- in `candidates`: all before it have failed
@@ -92,7 +92,7 @@ end
 
 -- Return the index behind a command of telnet, nil if its end has not come.
 -- index  of its 0xFF
-local function command_end(text, index)
+local function find_command_end(text, index)
   local command = byte(text, index + 1)
   if command == SUBNEGOTIATION then
     local _, last = find(text, SUBNEGOTIATION_END, index + 2, true)
@@ -117,7 +117,7 @@ local function undouble(text, index, count)
       if byte(text, mark + 1) == 255 then
         part, count, index = part .. IAC, count - 1, mark + 2
       else
-        index = command_end(text, mark)
+        index = find_command_end(text, mark)
         if not index then return nil, count end
       end
     end
@@ -168,7 +168,7 @@ local function candidate_at(self, index)
 end
 
 -- Return the next candidate whose header has come, nil where none has.
-function Framer:find()
+function Framer:find_candidate()
   if self.found and self.found.from == self.searched then return self.found end
   local index = frame.find(self.text, self.searched - self.text_from + 1)
   if not index then
@@ -182,7 +182,7 @@ end
 
 -- Whether the CRC of a frame is good.
 -- text, index  its bytes, from there on; length = of it
-function Framer:is_good(text, index, length)
+function Framer:check_crc(text, index, length)
   local class, earned = math.floor(math.log(length, 2)), MAX_CREDIT + CREDIT * self.to
   local spent = math.max(self.spent[class] or 0, earned - MAX_CREDIT) + length
   if spent > earned then return false end
@@ -192,10 +192,10 @@ function Framer:is_good(text, index, length)
 end
 
 -- Whether a candidate is a frame of telnet.  If more bytes have to come, its end moves.
-function Framer:is_telnet(candidate, index)
+function Framer:check_telnet(candidate, index)
   local bytes, count = undouble(self.text, index, candidate.length)
   local is_sure = self.telnet == "is"
-  if bytes and self:is_good(bytes, 1, candidate.length) then
+  if bytes and self:check_crc(bytes, 1, candidate.length) then
     candidate.to, candidate.bytes, self.telnet = candidate.from + count, bytes, "is"
     return true
   end
@@ -210,14 +210,14 @@ end
 -- Whether a candidate whose end has come is a frame; the end of one of telnet may move.
 function Framer:judge(candidate)
   local index, is_sure = candidate.from - self.text_from + 1, self.telnet == "is"
-  if not self.telnet then return self:is_good(self.text, index, candidate.length) end
+  if not self.telnet then return self:check_crc(self.text, index, candidate.length) end
   local mark = find_mark(self, index)
   local may_be_telnet = mark and mark < index + candidate.length
   if not (may_be_telnet and is_sure) then
     candidate.to = candidate.from + candidate.length
-    if self:is_good(self.text, index, candidate.length) then return true end
+    if self:check_crc(self.text, index, candidate.length) then return true end
   end
-  return may_be_telnet and self:is_telnet(candidate, index)
+  return may_be_telnet and self:check_telnet(candidate, index)
 end
 
 -- Expect no more bytes of telnet, as the stream ends.
@@ -230,7 +230,7 @@ end
 
 -- Append the bytes up to an offset as a finding.
 -- bytes  nil for those in the text
-function Framer:give(to, status, missing, bytes)
+function Framer:add_finding(to, status, missing, bytes)
   local from, offset = self.from, self.from - self.text_from
   self.from = to
   table.insert(self.findings, {
@@ -247,7 +247,7 @@ end
 function Framer:skip(to)
   if to <= self.from then return end
   local latest = self.findings[#self.findings]
-  if not (latest and latest.status == "skipped") then return self:give(to, "skipped") end
+  if not (latest and latest.status == "skipped") then return self:add_finding(to, "skipped") end
   latest.bytes = latest.bytes .. sub(self.text, self.from - self.text_from + 1, to - self.text_from)
   latest.to, self.from = to, to
 end
@@ -275,7 +275,7 @@ function Framer:settle(limit, behind)
     end
     if status then
       self:skip(candidate.from)
-      self:give(stop, status, candidate.to > stop and candidate.to - stop or nil)
+      self:add_finding(stop, status, candidate.to > stop and candidate.to - stop or nil)
     end
     self.candidates[self.first] = nil
     self.first = self.first + 1
@@ -290,8 +290,8 @@ function Framer:accept(candidate)
     return false
   end
   self:settle(candidate.from, "good")
-  self:give(candidate.to, "good", nil, candidate.bytes)
-  if self.last > 0 then self:forget() end
+  self:add_finding(candidate.to, "good", nil, candidate.bytes)
+  if self.last > 0 then self:drop_candidates() end
   self.searched = candidate.to
   return true
 end
@@ -305,7 +305,7 @@ end
 
 -- Keep a candidate that failed or is open.  It gets
 --   next_known  index in `known`: the first one behind it
-function Framer:keep(candidate)
+function Framer:keep_candidate(candidate)
   self.last = self.last + 1
   self.candidates[self.last] = candidate
   if candidate.is_known then self.known[#self.known + 1] = candidate.from end
@@ -336,7 +336,7 @@ end
 
 -- Judge the candidates that begin in bytes that have not been searched.
 function Framer:search()
-  local candidate = self:find()
+  local candidate = self:find_candidate()
   while candidate do
     local patience = candidate.is_plausible and self.patience or self.noise_patience
     local is_frame = candidate.to <= self.to and self:accept(candidate)
@@ -346,10 +346,10 @@ function Framer:search()
       return
     end
     if not is_frame then
-      self:keep(candidate)
+      self:keep_candidate(candidate)
       self.searched = candidate.from + #frame.SYNC
     end
-    candidate = self:find()
+    candidate = self:find_candidate()
   end
 end
 
@@ -390,12 +390,12 @@ function Framer:add(bytes, is_end, findings)
   self:search()
   if is_end then
     self:settle(self.to, "end")
-    if self.last > 0 then self:forget() end
+    if self.last > 0 then self:drop_candidates() end
     self.searched = self.to
   else
     local waiting = self:first_waiting()
     self:settle(waiting and waiting.from or self.searched, "open")
-    if self.last > 0 and self.first > self.last then self:forget() end
+    if self.last > 0 and self.first > self.last then self:drop_candidates() end
   end
   return self.findings
 end
@@ -403,7 +403,7 @@ end
 --- Return whether bytes in no finding yet begin with the header of a message of the catalogue.
 function Framer:has_known()
   for i = self.first, self.last + 1 do
-    local candidate = self.candidates[i] or self:find()
+    local candidate = self.candidates[i] or self:find_candidate()
     if candidate and candidate.is_known and candidate.from >= self.from then return true end
   end
   return false
@@ -419,7 +419,7 @@ end
 -- returns  boolean, and the number of bytes to come, nil if all came
 function Framer:open_frame()
   for i = self.first, self.last + 1 do
-    local candidate = self.candidates[i] or self:find()
+    local candidate = self.candidates[i] or self:find_candidate()
     if candidate and candidate.is_plausible and candidate.from >= self.from then
       local missing = candidate.to - self.to
       return true, missing > 0 and missing or nil

@@ -87,7 +87,7 @@ end
 -- connects again has a new port, and is the same source.  But two connections may go on side by
 -- side, of two clients behind one address.
 -- time  seconds, when the new connection begins; nil if it is not known
-local function line_before(self, address, to, time)
+local function find_line_before(self, address, to, time)
   local before = self.clients[address .. " " .. to]
   local is_over = before and (before.is_over or time and time - before.latest > MAX_SILENCE)
   return is_over and before or nil
@@ -99,7 +99,7 @@ local function new_ip_line(self, kind, key, address, port, to, time)
   local opposite = "|" .. kind .. "|" .. to .. "|" .. here
   local is_udp = kind == M.UDP
   local bus = is_udp and self.senders:name_of(address, port) or senders.name(address, port)
-  local before = not is_udp and line_before(self, address, to, time)
+  local before = not is_udp and find_line_before(self, address, to, time)
   if before then bus = before.bus end
   local line = new_line(key, opposite, here < to and here .. to or to .. here, bus)
   line.trial_key = kind .. line.bus_key -- UDP and TCP may have the same ports
@@ -134,7 +134,7 @@ function Lines:of(kind, from, port, to, to_port, bus, time)
   local lines, number = self.by_address[from][to], M.tag(kind, port, to_port)
   if bus then number = number + bus * 2 ^ 36 end
   local line = lines[number]
-  if time and kind == M.UDP then self.senders:note(from, port, time) end
+  if time and kind == M.UDP then self.senders:count_datagram(from, port, time) end
   if line then
     line.latest = time or line.latest
     return line
@@ -168,14 +168,14 @@ function Lines:await(conversations)
 end
 
 --- Note that a frame of a line was read.
-function M.note_read(line, transfer)
+function M.mark_read(line, transfer)
   local is_first = transfer.payload == line.awaited or transfer.status == "truncated"
   if line.awaited and is_first then line.awaited = nil end
 end
 
 --- Return those of a list of conversations that no message was read of, or not the first one.
 -- conversations  of serial.senders
-function Lines:unread(conversations)
+function Lines:list_unread(conversations)
   local list = {}
   for _, one in ipairs(conversations) do
     local line = self.by_key[key_of(one)]
@@ -211,7 +211,7 @@ function Lines:source(line, id)
   local source = line.sources[id]
   if not source then
     if line.is_ip then
-      line.label, line.is_shared = self.senders:short(line.bus), self.shared_ids[id]
+      line.label, line.is_shared = self.senders:shorten(line.bus), self.shared_ids[id]
     end
     source = self.types:new_source(id, line.bus_key, line.bus, line)
     line.sources[id] = source

@@ -60,7 +60,7 @@ end
 
 --- Return a name whose first part is what differs from others: "…12:40000".
 -- name  of M.name
-function Senders:short(name)
+function Senders:shorten(name)
   local short = self.short_names[name]
   if short then return short end
   short = name
@@ -80,7 +80,7 @@ end
 --- Note a datagram of YAPP.
 -- address, port  of its sender
 -- time           in seconds; 0 if it is not known
-function Senders:note(address, port, time)
+function Senders:count_datagram(address, port, time)
   local sender = self.by_address[address]
   if sender.latest == port then
     sender.run = sender.run + 1
@@ -175,7 +175,7 @@ function Senders:scan(bytes)
   for start in frames_in(bytes, frame.is_plausible) do
     local index = start - UDP_HEADER
     local addresses = addresses_before(bytes, index, UDP)
-    if addresses then self:note(senders[addresses], u16(bytes, index), 0) end
+    if addresses then self:count_datagram(senders[addresses], u16(bytes, index), 0) end
   end
   for address, sender in pairs(self.by_address) do
     self.is_changing[address] = takes_new_ports(sender, MIN_PORTS) or nil
@@ -188,7 +188,7 @@ local BEFORE = { { UDP, UDP_HEADER }, { TCP, 20 }, { TCP, 32 } }
 
 -- Whether a header of TCP is as in front of data: its size in words of four bytes, and of its flags
 -- ACK is set, SYN and RST are not.
-local function is_of_data(bytes, index, row)
+local function is_before_data(bytes, index, row)
   if row[1] ~= TCP then return true end
   local size, flags = byte(bytes, index + 12, index + 13)
   return size * 4 / 16 == row[2] and flags % 32 >= 16 and flags % 8 < 2
@@ -215,7 +215,7 @@ end
 -- row  of BEFORE: which header the frame may have in front of it
 local function key_before(bytes, start, row)
   local index = start - row[2]
-  if index < 1 or not is_of_data(bytes, index, row) then return nil end
+  if index < 1 or not is_before_data(bytes, index, row) then return nil end
   local addresses, stop = addresses_before(bytes, index, row[1])
   if not addresses or not is_header_of(bytes, start, stop) then return nil end
   return row[1] .. addresses .. sub(bytes, index, index + 3), addresses

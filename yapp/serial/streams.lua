@@ -69,7 +69,7 @@ function M.new(new_framer, can_judge)
     can_judge = can_judge,
     repeats = repeats.new(can_judge),
     copies_by_key = memo(function() return new_stream(new_framer()) end),
-    reader = new_framer(), -- of bytes that are complete in themselves, see Streams:read
+    reader = new_framer(), -- of bytes that are complete in themselves, see Streams:split
     by_key = memo(function() return new_stream(new_framer()) end),
     trials = {}, -- by key, of unknown conversations, see new_trial
     trial_count = 0,
@@ -99,7 +99,7 @@ end
 
 -- Note where the bytes of a finding are.
 -- contents  of the packet that shows it
-local function locate(stream, finding, contents)
+local function locate_finding(stream, finding, contents)
   local from = contents.from
   if finding.from >= from and finding.to <= contents.to then
     if finding.is_telnet then return end
@@ -133,7 +133,7 @@ local function distance(seq, other)
 end
 
 -- Keep a segment in the order of the sequence numbers.
-local function hold(stream, contents)
+local function hold_segment(stream, contents)
   local held, seq, index = stream.held, contents.packet.seq, #stream.held + 1
   while index > 1 and distance(seq, held[index - 1].packet.seq) < 0 do index = index - 1 end
   table.insert(held, index, contents)
@@ -186,7 +186,7 @@ end
 
 -- Note that a segment's header shows that all bytes before a sequence number were sent: one less
 -- than it says, as the end of a connection counts as a byte.
-local function note_sent(stream, seq, segment)
+local function update_sent(stream, seq, segment)
   local next_seq = not stream.is_ended and stream.next_seq
   if not next_seq or distance(seq, next_seq) > MAX_DISTANCE then return end
   if distance(seq, stream.sent_seq or next_seq) > 0 then
@@ -205,7 +205,7 @@ local function add_segment(self, stream, contents)
     next_seq, stream.is_ended, stream.sent_seq = packet.seq, false, nil
   end
   stream.next_seq = next_seq
-  hold(stream, contents)
+  hold_segment(stream, contents)
   add_held(self, stream, false)
 end
 
@@ -215,16 +215,16 @@ end
 -- segment   of host.tcp
 -- returns   whether the segment can be put in order: its stream and its next sequence number are
 --           known
-function Streams:note_header(key, opposite, segment)
+function Streams:add_header(key, opposite, segment)
   local stream, other = rawget(self.by_key, key), rawget(self.by_key, opposite)
   local ack = segment.ack
   if other and ack then
     if distance(ack, other.acked or ack - 1) > 0 then other.acked = ack end
-    note_sent(other, ack - 1, segment)
+    update_sent(other, ack - 1, segment)
   end
   if stream then
     if segment.is_syn then stream.is_ended, stream.acked = true, nil end
-    note_sent(stream, segment.seq - 1, segment)
+    update_sent(stream, segment.seq - 1, segment)
     return stream.next_seq
   end
   local seq, length = segment.seq, segment.length
@@ -248,7 +248,7 @@ end
 
 --- Return the findings of bytes that are complete in themselves; each has its offset in them.
 -- bytes  string
-function Streams:read(bytes)
+function Streams:split(bytes)
   local framer = self.reader
   local from = framer.to
   local findings = framer:add(bytes, true)
@@ -259,10 +259,10 @@ function Streams:read(bytes)
 end
 
 -- Return the findings of a datagram that is complete in itself, nil for any other packet.
-local function read_alone(self, packet)
+local function split_alone(self, packet)
   local is_complete = packet.is_complete
   if not (packet.is_datagram or is_complete) or packet.truncated then return nil end
-  local findings = self:read(packet.bytes)
+  local findings = self:split(packet.bytes)
   return (is_complete or is_plain(findings, packet.bytes)) and findings or nil
 end
 
@@ -314,7 +314,7 @@ end
 -- Whether a datagram is of MAVLink, and no frame is in it.
 local function is_of_mavlink(self, bytes)
   if not mavlink.is_whole(bytes) then return false end
-  for _, finding in ipairs(self:read(bytes)) do
+  for _, finding in ipairs(self:split(bytes)) do
     if finding.status == "good" then return false end
   end
   return true
@@ -335,7 +335,7 @@ local function new_contents(packet, findings)
 end
 
 -- Add a packet to its stream; return its contents.
-local function split_bytes(self, stream, contents)
+local function add_to_stream(self, stream, contents)
   local packet, findings, framer = contents.packet, contents.findings, stream.framer
   stream.latest, stream.findings = packet, findings
   if packet.seq then
@@ -345,7 +345,7 @@ local function split_bytes(self, stream, contents)
   end
   for _, finding in ipairs(findings) do
     drop_pieces(stream, finding.from)
-    locate(stream, finding, contents)
+    locate_finding(stream, finding, contents)
   end
   drop_pieces(stream, framer.from)
   if contents.packet then -- its bytes wait for a missing segment
@@ -363,7 +363,7 @@ local function keep_contents(self, packet, contents)
 end
 
 -- Note that the capture does not have the end of a packet: whole frames may be missing.
-local function note_truncated(self, stream, packet, findings)
+local function add_truncated_gap(self, stream, packet, findings)
   local last = findings[#findings]
   if packet.truncated and not (last and last.missing) then
     table.insert(self.gaps, new_gap(stream, packet))
@@ -401,7 +401,7 @@ function Streams:add(packet, is_stored)
     contents.is_others = true
     return contents
   end
-  local whole = read_alone(self, packet)
+  local whole = split_alone(self, packet)
   if whole and count_waiting(rawget(self.by_key, packet.stream)) == 0 then
     if is_stored then self.contents_by_key[packet.key] = PLAIN end
     return new_contents(packet, whole)
@@ -411,14 +411,14 @@ function Streams:add(packet, is_stored)
   local contents = new_contents(packet, findings)
   -- What waits was cut by a lost datagram if the next one is complete in itself.
   if whole then stream.framer:add("", true, findings) end
-  split_bytes(self, stream, contents)
+  add_to_stream(self, stream, contents)
   if may_be_of_others and is_of_others(stream, contents, waited) then
     stream.framer:add("", true)
     drop_pieces(stream, stream.framer.from)
     contents.is_others = true
     return contents
   end
-  if is_copy then keep_good(findings) else note_truncated(self, stream, packet, findings) end
+  if is_copy then keep_good(findings) else add_truncated_gap(self, stream, packet, findings) end
   if is_stored then keep_contents(self, packet, contents) end
   return contents
 end
@@ -427,7 +427,7 @@ end
 function Streams:find(packet)
   local contents = self.contents_by_key[packet.key]
   if contents ~= PLAIN then return contents end
-  return new_contents(packet, self:read(packet.bytes))
+  return new_contents(packet, self:split(packet.bytes))
 end
 
 --- Return whether a packet was added before, and stored.
@@ -456,7 +456,7 @@ local function count_trial(self, tag, change)
 end
 
 -- End the trial of a conversation that has not shown YAPP.
-local function fail(self, key)
+local function fail_trial(self, key)
   local trial = self.trials[key]
   if trial.is_tcp and trial.has_header then self.failed[key] = true end
   self.trials[key] = nil
@@ -467,7 +467,7 @@ end
 local function new_trial(self, packet)
   if not has_start(packet.bytes) then return nil end
   if self.trial_count >= MAX_TRIALS then
-    for key in pairs(self.trials) do fail(self, key) end
+    for key in pairs(self.trials) do fail_trial(self, key) end
   end
   local trial = {
     framer = self.new_framer(),
@@ -520,7 +520,7 @@ local function has_begun(framer)
 end
 
 -- Keep a packet of a trial that may go on.
-local function goes_on(trial, packet)
+local function keep_on_trial(trial, packet)
   local framer, paired = trial.framer, trial.paired_framer
   if not (has_begun(framer) or paired and has_begun(paired)) then return false end
   -- A "Y" at the end of several bytes may be chance.
@@ -538,7 +538,7 @@ end
 
 -- Whether a trial has had the bytes of a packet: by its port, which asks before the heuristics do;
 -- or in the packet that it is a copy of.
-local function was_had(trial, packet)
+local function has_packet(trial, packet)
   local packets = trial.packets
   local latest = packets[#packets]
   if latest and latest.key == packet.key then return true end
@@ -566,7 +566,7 @@ end
 
 -- End a trial that has shown YAPP; return the list of its packets.
 -- is_joined  whether they belong to the first frame; else they may be of others
-local function take_trial(self, packet, is_joined)
+local function end_proved_trial(self, packet, is_joined)
   local packets = self:end_trial(packet.stream)
   for _, earlier in ipairs(packets) do earlier.is_found = not is_joined end
   return packets
@@ -584,20 +584,20 @@ end
 -- returns    nil, unless the bytes that came so far have a frame, or the header of a message of the
 --            catalogue.  Then the list of the earlier packets, for Streams:add.  If they do not
 --            belong to the packet's first frame, they may be of others: is_found is set
-function Streams:try(packet, is_proved)
+function Streams:try_packet(packet, is_proved)
   local trial = self.trials[packet.stream]
   if is_proved then -- even if it is a copy
     local is_joined = trial and select(2, add_to_trial(trial, packet))
-    return take_trial(self, packet, is_joined)
+    return end_proved_trial(self, packet, is_joined)
   end
   trial = trial_for(self, packet)
   if not trial then return nil end
   local are_pairs = is_in_pairs(trial, packet)
-  if not are_pairs and was_had(trial, packet) then return nil end
+  if not are_pairs and has_packet(trial, packet) then return nil end
   local is_shown = add_to_trial(trial, packet)
   if are_pairs and not is_shown then self.repeats:expect_pairs(packet.stream) end
-  if is_shown or are_pairs then return take_trial(self, packet, true) end
-  if not goes_on(trial, packet) then fail(self, packet.stream) end
+  if is_shown or are_pairs then return end_proved_trial(self, packet, true) end
+  if not keep_on_trial(trial, packet) then fail_trial(self, packet.stream) end
   return nil
 end
 
@@ -610,7 +610,7 @@ end
 
 -- Return what waits in a stream: its pending bytes, and the segments behind each gap.
 -- returns  list of { bytes, packet = the stream's latest; behind a gap the last with some of them }
-local function waiting(stream)
+local function list_waiting(stream)
   local last = { bytes = stream.framer:pending(), packet = stream.latest }
   local list, next_seq = { last }, stream.next_seq
   for _, contents in ipairs(stream.held) do
@@ -634,8 +634,8 @@ end
 function Streams:unfinished()
   local list = {}
   for _, stream in pairs(self.by_key) do
-    for _, piece in ipairs(waiting(stream)) do
-      piece.findings = self:read(piece.bytes)
+    for _, piece in ipairs(list_waiting(stream)) do
+      piece.findings = self:split(piece.bytes)
       for _, finding in ipairs(piece.findings) do finding.bytes = piece.bytes end
       list[#list + 1] = piece
     end

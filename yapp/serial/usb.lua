@@ -75,7 +75,7 @@ local DATA = { usbmon = 48, usbmon_mapped = 64 } -- offset; usbpcap has it in it
 
 --- Whether a packet need not be read while no line with YAPP is known: no frame begins in its data,
 -- and it describes no device.  Most packets of others are so, and the test is quick.
--- kind, bytes  as of Usb:read
+-- kind, bytes  as of Usb:read_packet
 function M.is_of_others(kind, bytes)
   local transfer = byte(bytes, TRANSFER[kind])
   if transfer ~= BULK then return transfer ~= CONTROL end
@@ -153,7 +153,7 @@ local function device_of(self, header)
   return device
 end
 
--- Return the line of an endpoint, see Usb:read.
+-- Return the line of an endpoint, see Usb:read_packet.
 local function line_of(device, endpoint)
   local line = device.lines[endpoint]
   if not line then
@@ -178,7 +178,7 @@ end
 --   offset     of its data in the packet
 --   has_status  whether there is more than the bytes of the line
 --   truncated  whether the packet had more }
-function Usb:read(kind, bytes)
+function Usb:read_packet(kind, bytes)
   local header = HEADERS[kind](bytes)
   local transfer = header and header.transfer
   if transfer ~= BULK and transfer ~= CONTROL then return nil end
