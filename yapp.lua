@@ -4,7 +4,7 @@
 -- says how to use the plugin.
 
 local VERSION = "2.3.0"
-local EXIT_UNDECIDED = 21 -- as in stat.output, which may be what does not load
+local EXIT_UNDECIDED = 21 -- as in stat.output, which may not load
 local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 
 -- If there are two copies, in the plugin folder and by -X, or by -X twice, only the first one
@@ -30,7 +30,7 @@ os.setlocale("C", "numeric")
 table.insert(rawget(package, "searchers"), 2, function(name)
   if not name:find("^yapp%.") then return nil end
   local path = here .. name:gsub("%.", "/") .. ".lua"
-  local ok, chunk, why = pcall(loadfile, path) -- Wireshark's raises what is wrong, without the path
+  local ok, chunk, why = pcall(loadfile, path) -- Wireshark's raises the error, without the path
   return ok and chunk or error(why or path .. ": " .. chunk, 0)
 end)
 
@@ -149,10 +149,10 @@ local function register_start(id, seq)
   register(id, START, last + 1, known.last)
 end
 
--- What others need of the preferences, see stat.taps; read_preferences fills it.
+-- The preferences that others need, see stat.taps; read_preferences fills it.
 local settings = { version = VERSION, catalogue = catalogue, accepts_all = false }
 
--- What reads and shows YAPP; nil until something needs it, see make_reading.
+-- The objects that read and show YAPP; nil until something needs them, see make_reading.
 local reading, builder, frames, streams
 local stat -- the same of statistics, see make_statistics
 
@@ -163,7 +163,7 @@ local function reset_reading()
   streams:reset()
 end
 
--- Make what reads and shows YAPP: a frame, a packet or a statistic needs it.
+-- Make the objects that read and show YAPP: a frame, a packet or a statistic needs them.
 local function make_reading()
   if streams then return end
   -- Nothing calls this dissector, as YAPP shows the Taurus messages.  It must exist, because the
@@ -185,8 +185,8 @@ local function make_reading()
   reset_reading()
 end
 
--- Return the options of tshark that may decode what was not found, and those of them that certainly
--- decode YAPP: two lists.
+-- Return the options of tshark that may decode packets in which no YAPP was found, and those of
+-- them that certainly decode YAPP: two lists.
 local function find_options()
   local found, options = buses.found, streams:options()
   local serial_options = streams:has_serial() and {} or found:serial_options()

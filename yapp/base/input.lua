@@ -34,18 +34,18 @@ function M.is_integer(v)
   return type(v) == "number" and v % 1 == 0
 end
 
---- Whether it is a number that is neither NaN nor infinite.
+--- Return whether it is a number that is neither NaN nor infinite.
 function M.is_finite(v)
   return type(v) == "number" and v - v == 0
 end
 
---- Whether it is a filter name, or a part of one.
+--- Return whether it is a filter name, or a part of one.
 function M.is_name(v)
   if type(v) ~= "string" or #v > MAX_NAME then return false end
   return v:find("^[a-z][a-z0-9_]*$") ~= nil
 end
 
---- Whether it is a text, UTF-8 without control characters: Wireshark aborts at some others.
+--- Return whether it is a text, UTF-8 without control characters: Wireshark aborts at some others.
 function M.is_text(v)
   if type(v) ~= "string" or v == "" or #v > MAX_TEXT then return false end
   return utf8.is_printable(v)

@@ -26,7 +26,7 @@ end
 local M = {}
 
 --- Load all modules that still wait.
--- returns  whether all of them could be loaded; stderr has why not
+-- returns  true if all of them could be loaded; stderr has why not
 function M.load_all()
   local is_whole, names = true, {}
   for name in pairs(is_waiting) do names[#names + 1] = name end
@@ -35,7 +35,7 @@ function M.load_all()
   return is_whole
 end
 
--- Return what stands for a module: the first use of it loads the module.
+-- Return a stand-in of a module: its first use loads the module.
 local function stand_in(_, name)
   local methods, module = {}, nil
   function methods.__index(_, key)

@@ -77,7 +77,7 @@ function M.value(text)
   return (text:gsub(UNSURE, function(bytes) return shown(bytes, "\\x%02x") end))
 end
 
---- Whether the text is UTF-8 without control characters and without invisible ones.
+--- Return whether the text is UTF-8 without control characters and without invisible ones.
 function M.is_printable(text)
   return M.printable(text) == text
 end

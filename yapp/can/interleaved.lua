@@ -15,7 +15,7 @@ local frame_key = require "yapp.base.frame_key"
 local M = {}
 
 local MAX_SUPERSEDED = 3 -- a message that more Starts than this superseded is given up
-local MAX_WASTE = 4096   -- bytes in the pool beyond what its messages can use
+local MAX_WASTE = 4096   -- bytes in the pool beyond those that its messages can use
 local CREDIT_PER_FRAME, MAX_CREDIT = 32, 4096 -- steps of the search
 
 local Pool = {}
@@ -46,13 +46,13 @@ local function new_frame(key, data, length, is_end)
 end
 
 --- Open the message of a Start.
--- is_retry  whether its last fragment was shown as that of a broken message
+-- is_retry  true if its last fragment was shown as that of a broken message
 function Pool:open_message(message, is_retry)
   message.chunks = nil
   table.insert(self.open, {
     message = message,
     start = self.starts, -- of the pool when it was opened
-    anomaly = nil, -- what said that it is superseded: withdrawn if it turns out good
+    anomaly = nil, -- that it is superseded: withdrawn if it turns out good
     is_retry = is_retry,
   })
 end
@@ -119,7 +119,7 @@ end
 
 --- Note a Start: it supersedes the open messages; give up those that are too old.
 -- anomaly  the one that notes this of the newest message, or nil
--- returns  whether any is left
+-- returns  true if any is left
 function Pool:supersede(anomaly)
   local open = self.open
   local newest = open[#open]
@@ -151,10 +151,10 @@ local function may_leave_out(self, goal, index)
 end
 
 -- Search depth first over the frames from `first` on; the newest frame has to be the last taken.
--- goal      { crc = as sent, frames = those that are taken so far, takes_all = whether none may be
+-- goal      { crc = as sent, frames = those that are taken so far, takes_all = true if none may be
 --           left out, padding = found }
 -- register  of the CRC; false behind a truncated frame
--- returns   whether these are a complete message
+-- returns   true if these are a complete message
 local function search(self, goal, first, register, needed)
   local last, count = #self.frames, #goal.frames
   for i = first, last do
@@ -247,7 +247,7 @@ local function complete(self)
     -- frames.
     self.reserve = self.credit * (1 - 1 / (#open - k + 1))
     local seed = can_id.seed(self.can_id, size, message.reserved)
-    -- What does not complete a message completes no copy of it either.
+    -- Frames that do not complete a message complete no copy of it either.
     if not (before and have_same_start(before.message, message)) and
       search(self, goal, first, seed, size) then
       return finish_candidate(self, i, goal.frames, goal.padding)
@@ -272,7 +272,8 @@ local function end_newest(self, last)
   finish_candidate(self, index, frames, padding, status)
 end
 
--- Whether the pool has more bytes than all open messages can use: then none of them will be good.
+-- Return whether the pool has more bytes than all open messages can use: then none of them will be
+-- good.
 local function is_full(self)
   local limit = MAX_WASTE
   for _, candidate in ipairs(self.open) do limit = limit + candidate.message.size end

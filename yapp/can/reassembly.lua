@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Reassembly: which CAN frames are YAPP, and which message their Start, Middle and End fragments
--- make up ("Multi-Frame CAN YAPP").  Pure Lua.
+-- Reassembly: finds the CAN frames of YAPP, and makes messages of their Start, Middle and End
+-- fragments ("Multi-Frame CAN YAPP").  Pure Lua.
 --
 -- A slot is ID, CTL and Seq on one bus: usually one message at a time is open there.  A message of
 -- several frames is
@@ -42,7 +42,7 @@ local Reassembly = {}
 Reassembly.__index = Reassembly
 
 --- Make the reassembly of one capture.
--- can_judge  function(time) -> whether time stamps tell what is a copy
+-- can_judge  function(time) -> true if time stamps tell copies from originals
 -- on_unknown function(id, seq), called at each Start of an ID that has no message type
 function M.new(can_judge, on_unknown)
   return setmetatable({
@@ -58,17 +58,17 @@ function M.new(can_judge, on_unknown)
     -- Of the newest frame; false for none (COMPAT 5.2: nil makes the table anew).
     message = false,
     anomalies = false,
-    keeps = true, -- whether it may be visited again
+    keeps = true, -- true if it may be visited again
   }, Reassembly)
 end
 
---- Add what is wrong at the newest frame.
+--- Add an anomaly of the newest frame.
 -- message    the one that is lost by it, or nil
 -- text, ...  as for string.format
 -- returns    an anomaly: { expert = name of an expert item, text, lost = key of the Start of the
---            message that is lost, or nil, is_open = whether it may still be withdrawn,
---            is_withdrawn = whether a later frame has proved that nothing is wrong; is_copy =
---            whether a recorder holds the frame twice, so nothing is lost }
+--            message that is lost, or nil, is_open = true if it may still be withdrawn,
+--            is_withdrawn = true if a later frame has proved that nothing is wrong; is_copy =
+--            true if a recorder holds the frame twice, so nothing is lost }
 function Reassembly:add_anomaly(expert, message, text, ...)
   -- The others are nil until they are set: that halves the memory.
   local anomaly = { expert = expert, text = text:format(...), lost = message and message[1] }
@@ -128,7 +128,7 @@ function Reassembly:finish(message, fields, payload, padding, status)
   end
 end
 
---- End a message that no last frame will show.  Keep a copy of what revisits of its fragments need:
+--- End a message that no last frame will show.  Keep a copy for revisits of its fragments:
 -- it is a third as large.
 function Reassembly:give_up(message)
   message.status, message.chunks = "superseded", nil
@@ -139,7 +139,7 @@ function Reassembly:give_up(message)
   self.store:keep(copy)
 end
 
---- Note that a fragment came twice.
+--- Keep that a fragment came twice.
 -- key, original  frame keys: of the second one, and of the first
 function Reassembly:keep_duplicate(key, original)
   if self.keeps then self.store:keep_duplicate(key, original) end
@@ -224,7 +224,7 @@ end
 
 -- Starts -----------------------------------------------------------------------------------------
 
--- Note what is wrong with the captured bytes of a Start.
+-- Add the anomalies of a Start's captured bytes.
 local function check_start(self, frame, size, reserved)
   local known, least, length = frame.source.size, frame.source.min_size, frame.reported
   if length ~= 8 then
@@ -373,7 +373,7 @@ end
 local ADDERS = { [0] = add_single, add_start, add_fragment, add_fragment }
 for ctrl = #ADDERS + 1, 15 do ADDERS[ctrl] = add_undefined end
 
--- What a frame is ---------------------------------------------------------------------------------
+-- Frames ------------------------------------------------------------------------------------------
 
 --- Add the next frame of the capture.
 -- frame    see reading.records
@@ -397,7 +397,7 @@ function Reassembly:add(frame)
 end
 
 --- Keep the message that the newest frame has ended for revisits.
--- has_fault  whether it has a fault flag set
+-- has_fault  true if it has a fault flag set
 function Reassembly:keep(message, has_fault)
   message.has_fault = has_fault
   self.store:keep(message)
@@ -429,7 +429,7 @@ local function find(self, frame)
   return message, index
 end
 
---- Say what a frame is that was added before.
+--- Recall a frame that was added before.
 -- returns  as Reassembly:add, and the index of the frame in its message; of a fragment that came
 --          twice, the index of the one before
 function Reassembly:recall(frame)

@@ -81,7 +81,7 @@ function Store:keep_anomalies(key, list)
   self.anomalies[key] = list
 end
 
---- Note that a fragment came twice.
+--- Keep that a fragment came twice.
 -- key, original  frame keys: of the second one, and of the first
 function Store:keep_duplicate(key, original)
   self.originals[key] = original

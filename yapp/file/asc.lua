@@ -44,7 +44,8 @@ local function read_date(text_of_date)
   return seconds and seconds * SECOND + ("0" .. milliseconds) * 1000
 end
 
--- Return the time in front of a line, "-12.000123", in microseconds, and what follows; nil without.
+-- Return the time in front of a line, "-12.000123", in microseconds, and the text behind it; nil
+-- without.
 local function read_stamp(line)
   local sign, whole, fraction, rest = line:match("^%s*(%-?)(%d+)%f[%D][.,]?(%d*)%s+(.*)$")
   if not rest or #whole > 10 then return nil end
@@ -69,8 +70,8 @@ local PLAIN = {
   "^%s*$", "^%s*//", "^%s*;", "^%s*date%f[^%a]", "^%s*base%f[^%a]", "internal events logged",
   "^%s*begin trigger", "^%s*end trigger",
 }
--- What follows a time in a line without a frame: of a channel, of another network, of J1939 (whose
--- frames have lines of their own), and a request to send (the frame has a line of its own).
+-- The texts behind a time in a line without a frame: of a channel, of another network, of J1939
+-- (whose frames have lines of their own), and a request to send (the frame has a line of its own).
 local EVENTS = {
   "^%d+%s+statistic:", "^%d+%s+overloadframe", "^%d+%s+j1939%a*%s", "^%d+%s+%w+%s+txrq%s",
   "^canfd%s+%d+%s+txrq%s", "^canxl%s", "^can%s+%d+%s+status:", "^l%d*%s", "^li?n?%d*%s", "^eth%s",
@@ -80,7 +81,7 @@ local EVENTS = {
 local LIKE_FRAMES = { "^%d+%s", "^%d+$", "^canfd%f[^%a]", "%f[%a][rt]x%f[^%a]" }
 
 -- Return why a line without a frame was not understood, nil if it is known.
--- rest  what follows its time, nil without a time
+-- rest  the text behind its time, nil without a time
 local function reason_of(line, rest)
   if not rest then return not text.has_one_of(line:lower(), PLAIN) and UNKNOWN or nil end
   local lower = rest:lower()
@@ -133,8 +134,8 @@ local function read_flexible(record, rest, base)
   end
 end
 
--- By the word in front of the channel: what reads the text behind the id; the pattern of id and
--- direction, and whether the direction is in front.
+-- By the word in front of the channel: the function that reads the text behind the id; the pattern
+-- of id and direction, and whether the direction is in front.
 local FORMS = {
   [""] = { read = read_classic, pattern = "^(%w+)%s+([RrTt])[Xx]%s+(.*)$" },
   CANFD = { read = read_flexible, pattern = "^([RrTt])[Xx]%s+(%w+)%s+(.*)$", is_turned = true },
@@ -225,8 +226,8 @@ end
 
 -- Read the first lines by a base.
 -- returns  { base; frames = how many lines are frames; others = how many may be damaged ones or
---          another format's; has_several = whether the extended frames are of several channels;
---          stamps_differ = whether the stamps of frames do }
+--          another format's; has_several = true if the extended frames are of several channels;
+--          stamps_differ = true if the stamps of frames do }
 local function survey(lines, base)
   local found = { base = base, frames = 0, others = 0, has_several = false, stamps_differ = false }
   local channel, first
@@ -246,8 +247,8 @@ local function survey(lines, base)
   return found
 end
 
--- Return whether lines begin as ASC does, with a date, a base, a comment or a time; and what they
--- say of the base, "hex" and "timestamps relative", or nil.
+-- Return whether lines begin as ASC does, with a date, a base, a comment or a time; and their
+-- words about the base, "hex" and "timestamps relative", or nil.
 local function read_head(lines)
   local is_asc, base, rest
   for line in lines:gmatch("[^\r\n]+") do
@@ -268,8 +269,8 @@ local function survey_both(lines)
   return in_dec.frames > in_hex.frames and in_dec or in_hex
 end
 
--- Return what the first lines of a file say, nil if it is not ASC: what survey returns, and
--- is_relative = whether times are those since the line before.  A file whose head says no base
+-- Return the facts of the first lines of a file, nil if it is not ASC: those of survey, and
+-- is_relative = true if times are those since the line before.  A file whose head says no base
 -- needs more frames than other lines.
 local function recognise(head)
   local lines = (#head < HEAD and head or head:match("^.*\n") or ""):gsub("^\239\187\191", "")
@@ -282,9 +283,9 @@ end
 
 --- Open a file if it is ASC.
 -- file     with read and seek, at its begin
--- report   function(text), called with what is to be said of a line
+-- report   function(text), called with a note on a line
 -- returns  a log with read and seek_read, whose buses are called as Wireshark's reader of BLF calls
---          them, and { has_several = whether its first lines have several; drops = as readers.log
+--          them, and { has_several = true if its first lines have several; drops = as readers.log
 --          returns them }; nil for another file
 function M.open(file, report)
   local head = file:read(HEAD) or ""
@@ -293,7 +294,7 @@ function M.open(file, report)
   log.record, log.per_second = read_record, SECOND
   log.date = nil -- of the file
   log.began = nil -- the date of a block until its first stamp comes
-  log.start = nil -- what stamps count from, if not from the date
+  log.start = nil -- the time that stamps count from, if not from the date
   log.sum = 0 -- the last stamp; if they are relative, the sum of all
   log.rest = 0 -- nanoseconds that the sum leaves out
   log.clock = 0 -- the time of the last line

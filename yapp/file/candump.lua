@@ -3,7 +3,7 @@
 -- as packets.  Pure Lua.
 --
 -- A line, after can-utils (lib.c, candump.c), has the form LOG or SCREEN behind the CAN id;
--- read_head reads what stands before.  A line without a frame has one of the forms OTHERS.  A line
+-- read_head reads the text before it.  A line without a frame has one of the forms OTHERS.  A line
 -- pasted from a document has these forms, too.
 local memo = require "yapp.base.memo"
 local text = require "yapp.file.text"
@@ -23,7 +23,7 @@ local BEHIND = "text behind the frame, ignored"
 local REPAIRED = "letters that look like hex digits, read as such"
 
 -- Lines without a frame: a pattern, a reason, and whether they are harmless.  candump -e prints
--- below an error frame, behind a tab, what it means.
+-- below an error frame, behind a tab, its meaning.
 local OTHERS = {
   { "^%s*$", "an empty line, skipped", true },
   { "^%s*[#;/]", "a comment, skipped", true },
@@ -196,8 +196,8 @@ end
 --          ESI; length = bytes, or the DLC of a remote frame; data = string, zero in a remote
 --          frame; raw_dlc = 9 to 15, or 0; sent; seconds, nanoseconds, is_relative = nil without a
 --          time; note = a remark on the line, or nil }.  For a line without a frame: nil;
---          a reason, nil for what -e prints below a frame; true if the line is harmless: the packet
---          list need not report it, and the file may still be candump's
+--          a reason, nil for a line that -e prints below a frame; true if the line is harmless: the
+--          packet list need not report it, and the file may still be candump's
 function M.parse(line)
   line = line:gsub("^\239\187\191", ""):gsub("\27%[[%d;]*m", "")
   local record, why = frame_of(line)
@@ -236,7 +236,7 @@ for kind, counts in pairs(PLAIN_DIGITS) do
   PLAIN_DIGITS[kind] = set
 end
 
--- Return a test for text of whole lines: whether all are log lines of this bus that Wireshark's own
+-- Return a test for text of whole lines: true if all are log lines of this bus that Wireshark's own
 -- reader gets right in every version (tests/e2e/test_candump.py compares the two readers).
 -- Wireshark's reader takes one space, six decimals, a number of digits that fits, and nothing more.
 -- It does not tell two buses apart before 4.6, and an empty line ends the file for it on 4.6.  From
@@ -311,7 +311,7 @@ end
 
 -- Survey the first lines of a file; return nil if they are not candump's: { deltas = whether
 -- the times are those since the frame before, decimals = 6 or 9, bus = name of the first one,
--- has_several = whether there are others, stamps_differ = whether not all stamps are equal }.
+-- has_several = true if there are others, stamps_differ = true if not all stamps are equal }.
 local function recognise(lines)
   local records, others = {}, {}
   local found = { decimals = 6, has_several = false }
@@ -440,10 +440,10 @@ end
 --- Open a file if it is candump text.
 -- file     anything with read(bytes) and seek("set", offset), at its start, as io.open gives it
 -- options  { all = true to take all candump text, false to leave to Wireshark's own reader what
---          that gets right; by_value = whether that reader goes by the value of an id, as 4.6 does;
+--          that gets right; by_value = true if that reader goes by the value of an id, as 4.6 does;
 --          report = function(text), called with a remark on a line }
 -- returns  a log with read and seek_read, and { decimals = 6 or 9, of the times; has_several =
---          whether its first lines have several buses; stamps_differ, drops = as readers.log
+--          true if its first lines have several buses; stamps_differ, drops = as readers.log
 --          returns them }.  Otherwise nil, and if Wireshark's own reader gets the log right, what
 --          readers.log returns: { plain_bus, stamps_differ }
 function M.open(file, options)
@@ -464,7 +464,7 @@ function M.open(file, options)
   log.clock = 0 -- sum of the deltas in nanoseconds
   log.latest_date = nil -- seconds of the latest time that was a date
   log.hour = 0 -- seconds to add to dates
-  log.taken = {} -- by number: whether a bus has it
+  log.taken = {} -- by number: true if a bus has it
   log.free = 0 -- all numbers below are taken
   return text.open(head, options.report, log)
 end

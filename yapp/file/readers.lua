@@ -29,12 +29,12 @@ function M.current()
 end
 
 --- Return the facts of the log that was opened or read last, each nil for other files.
--- returns  { has_several = whether it has several buses, by its first lines; drops = list of
+-- returns  { has_several = true if it has several buses, by its first lines; drops = list of
 --          { count = packets that were lost while capturing, bus = name or nil, frame = number of
 --          the packet behind the loss or nil, time = that packet's seconds since 1970 or nil },
---          complete when the file has been read; lacks_times = whether packets have no time stamps;
---          stamps_differ = whether the time stamps of its first frames do;
---          lacks_clock = whether times are the controllers' own, as those of a raw dump;
+--          complete when the file has been read; lacks_times = true if packets have no time stamps;
+--          stamps_differ = true if the time stamps of its first frames do;
+--          lacks_clock = true if times are the controllers' own, as those of a raw dump;
 --          plain_bus = name of the only bus of a log that Wireshark's own reader took, which
 --          forgets it on 4.0 and 4.4 }
 function M.log()
@@ -59,13 +59,13 @@ local function fill(log, frame, offset, bytes, seconds, nanoseconds, its_bus, co
   return offset
 end
 
--- Register a reader.  (No tail calls: what a reader does not hold may be collected, and Wireshark
--- writes into it when the reader is back.)
+-- Register a reader.  (No tail calls: Lua may collect an object that a reader does not hold, and
+-- Wireshark writes into it when the reader is back.)
 -- title, name  of the reader
 -- kind         "rs" is asked before Wireshark's own readers of text, "r" after them
 -- encap        link type of its packets
--- open         function(file), which returns a log; or nil, and what M.log returns of a log that is
---              left to Wireshark's own reader
+-- open         function(file), which returns a log; or nil, and the facts, as of M.log, of a log
+--              that is left to Wireshark's own reader
 -- extension    of the files that Wireshark offers to it first, or nil
 local function register(title, name, kind, encap, open, extension)
   local handler = FileHandler.new(title, name, title, kind)

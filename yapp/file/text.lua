@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What the readers of text logs share: the lines of a file, a CAN frame as a packet, and a log that
--- reads its frames in order and once more.  Pure Lua.
+-- The common part of the readers of text logs: the lines of a file, a CAN frame as a packet, and a
+-- log that reads its frames in order and once more.  Pure Lua.
 local char, match = string.char, string.match
 local memo = require "yapp.base.memo"
 local utf8 = require "yapp.base.utf8"
@@ -9,7 +9,7 @@ local M = {}
 
 local BLOCK = 65536 -- bytes read at once
 -- Bytes of a line.  The longest lines with a frame are candump's of 64 bytes in binary digits, 700
--- characters.  What is longer is skipped, and never kept whole.
+-- characters.  The rest of a longer line is skipped.
 local MAX_LINE = 4096
 local MAX_REPORTED = 3 -- lines for each reason
 local TOO_LONG = "a line longer than 4096 bytes, skipped"
@@ -153,7 +153,7 @@ function M.packet(number, record)
   return M.head(number, record) .. lengths .. record.data
 end
 
--- What stands in a line ---------------------------------------------------------------------------
+-- The parts of a line -----------------------------------------------------------------------------
 
 --- Return whether a text has one of these patterns.
 function M.has_one_of(line, patterns)
@@ -179,7 +179,7 @@ Log.__index = Log
 
 --- Make a log.
 -- head    string: the first bytes of the file, which is right behind them
--- report  function(text), called with what is to be said of a line
+-- report  function(text), called with a note on a line
 -- log     table: the state of the format, with
 --         record      function(log, line, offset), which returns the frame in a line, or nil: a
 --                     record as packet needs it, and { bus = key of buses; seconds, nanoseconds =
@@ -198,7 +198,7 @@ function M.open(head, report, log)
   log.shifts = {} -- by the frame's offset: seconds to add to the time of its record
   log.drops = {} -- as readers.log returns them
   log.unread, log.doubtful = 0, 0 -- number of lines since the latest frame: not understood
-  log.has_frame = false -- whether one was read
+  log.has_frame = false -- true if one was read
   return setmetatable(log, Log)
 end
 

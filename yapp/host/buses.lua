@@ -40,7 +40,7 @@ local function positions()
 end
 
 -- Read the first bytes of a capture.
--- returns  the bytes; whether it is a file: more of a pipe must not be read, as Wireshark cannot
+-- returns  the bytes; true if it is a file: more of a pipe must not be read, as Wireshark cannot
 --          rewind it further.  In tshark, the read of a file moves the position of an open file;
 --          and why they cannot be read, nil if they can
 local function read_head(file)
@@ -160,19 +160,19 @@ function Buses:init()
   -- number   of the packet, which Wireshark need not be asked for again
   -- offset   of the bytes in the packet
   -- returns  the number of its bus, nil if the capture has only one or nothing tells it; and
-  --          whether the bus is known
+  --          true if the bus is known
   self.of = is_all_told and in_file or function(number, offset, pinfo)
     return find_bus(self, in_file, number, offset, pinfo)
   end
 end
 
---- Whether the capture was opened before the plugin was loaded: Wireshark loaded its Lua plugins
--- again.  Then fields tell the bus, and nothing tells what the file says of dropped packets.
+--- Return whether the capture was opened before the plugin was loaded: Wireshark loaded its Lua
+-- plugins again.  Then fields tell the bus, and nothing tells of dropped packets.
 function Buses:missed_file()
   return not (IS_TSHARK or self.has_seen_file)
 end
 
---- Whether the capture is a regular file, and longer than its first bytes.
+--- Return whether the capture is a regular file, and longer than its first bytes.
 function Buses:has_more_to_read()
   return not (self.is_short or self.is_long_pipe)
 end
@@ -189,19 +189,21 @@ function Buses:drops()
   return drops[1] and drops or file_readers.log().drops or {}
 end
 
---- Whether packets of the capture have no time stamps.
+--- Return whether packets of the capture have no time stamps.
 function Buses:lacks_times()
   local found = self.found
   if found.is_told then return found.lacks_times end -- no reader of ours reads it
   return found.lacks_times or file_readers.log().lacks_times
 end
 
---- Whether nothing tells when packets were captured: they have no times, or those of controllers.
+--- Return whether nothing tells when packets were captured: they have no times, or those of
+-- controllers.
 function Buses:lacks_clock()
   return self:lacks_times() or not self.found.is_told and file_readers.log().lacks_clock
 end
 
---- Whether the first packets of the file have different time stamps: then these mean something.
+--- Return whether the first packets of the file have different time stamps: then these mean
+-- something.
 function Buses:stamps_differ()
   return self.found.stamps_differ or file_readers.log().stamps_differ or false
 end
@@ -213,7 +215,7 @@ end
 
 --- Return the name of a bus.
 -- bus      its number; nil where the capture has one or tells none apart
--- is_ip    whether the packet came in UDP or TCP, so by any interface
+-- is_ip    true if the packet came in UDP or TCP, so by any interface
 -- returns  text, or nil where the capture names none
 function Buses:name(bus, is_ip)
   return self.found:name(bus, is_ip) or not bus and self.plain_bus or nil

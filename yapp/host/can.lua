@@ -46,11 +46,11 @@ end
 function Dissector:reset()
   self.deferral:reset()
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
-  -- Whether the bus of a frame has to be asked for.
+  -- True if the bus of a frame has to be asked for.
   self.bus_is_per_packet = self.buses.bus_is_per_packet
   self.time_name, self.start = self.buses.time_name, self.buses.start -- see Buses:time
   self.frame = records.new_can_frame()
-  self.wants = false -- of Tree:wants, of which the frame has what the reading needs
+  self.wants = false -- of Tree:wants; the frame has those that the reading needs
 end
 
 -- Set where the current frame was captured.
@@ -60,8 +60,8 @@ local function find_bus(self, frame, tvb, pinfo)
   frame.bus, frame.is_bus_known = bus or false, is_bus_known
 end
 
--- Find out whether the current frame is a revisit, and what is wanted of it.
--- is_deferred  whether it comes from a tap, where Wireshark calls every packet visited
+-- Find out whether the current frame is a revisit, and which parts of it are wanted.
+-- is_deferred  true if it comes from a tap, where Wireshark calls every packet visited
 -- returns      see Tree:wants
 local function ask(self, frame, pinfo, tree, is_deferred)
   local visited = frame.key <= self.reading.newest_key and not is_deferred and pinfo.visited
@@ -89,7 +89,7 @@ end
 
 --- Dissect one frame.
 -- id           29-bit CAN id
--- accepts_all  whether the user says that every extended frame is YAPP
+-- accepts_all  true if the user says that every extended frame is YAPP
 -- length       of a deferred frame, whose Tvb does not know it: its bytes on the bus; else nil
 -- returns      the number of bytes that are ours, 0 for a frame that is not
 function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)

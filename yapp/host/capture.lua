@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a capture file says of its packets: the bus of each, what buses are called, how many packets
--- were dropped while capturing, and whether YAPP may be in it.  Pure Lua.
+-- Reads a capture file for the bus of each packet, the names of buses, the number of packets that
+-- were dropped while capturing, and bytes that may be YAPP.  Pure Lua.
 --
 -- Wireshark does not tell a dissector the interface of a packet.  The file does: this module reads
 -- the headers of the blocks of pcapng and of the records of pcap.
@@ -42,8 +42,8 @@ local IS_CARRIER = { [ETHERNET] = true, [PPI] = true }
 local IS_TAG = { ["\129\0"] = true, ["\136\168"] = true, ["\145\0"] = true } -- of a VLAN
 local IS_ACF = { ["\34\240\130"] = true, ["\34\240\5"] = true } -- IEEE 1722: NTSCF, TSCF
 
--- By link type: function(head) -> what tells a packet's bus from others of its interface; nil for a
--- packet that carries no YAPP.  head: the first HEADER bytes of the packet.
+-- By link type: function(head) -> a mark that tells a packet's bus from others of its interface;
+-- nil for a packet that carries no YAPP.  head: the first HEADER bytes of the packet.
 local HEADER = 24
 local INDEX_OF = {
   [RTAC] = function(head) return DIRECTIONS[byte(head, 9)] or "tx" end,
@@ -101,15 +101,15 @@ local function three_numbers(window, offset)
     i + j * 0x100 + k * 0x10000 + l * 0x1000000
 end
 
--- Note whether the option epb_dropcount, code 4 and 8 bytes, may be among the bytes at hand.  That
--- costs less than to read the options of each block.
+-- Find out whether the option epb_dropcount, code 4 and 8 bytes, may be among the bytes at hand.
+-- That costs less than to read the options of each block.
 local function find_drop_option(window)
   local option = window.is_little and "\4\0\8\0" or "\0\4\0\8"
   window.may_have_drops = find(window.text, option, 1, true) ~= nil
 end
 
--- Make `count` bytes, at most CHUNK, at an offset available; skip what lies in front of them.
--- returns  whether they are there
+-- Make `count` bytes, at most CHUNK, at an offset available; skip the bytes in front of them.
+-- returns  true if they are there
 function Window:has(offset, count)
   if offset + count <= self.stop then return true end
   local more = self.more(max(0, offset - self.stop), CHUNK)
@@ -120,7 +120,7 @@ function Window:has(offset, count)
   return offset + count <= self.stop
 end
 
--- Whether bytes have what may be the header of a YAPP frame.
+-- Return whether bytes may have the header of a YAPP frame.
 -- is_header  function(bytes, start); nil for a whole one
 local function has_header(bytes, is_header)
   local start = frame.find(bytes, 1)
@@ -137,7 +137,7 @@ local Capture = {}
 Capture.__index = Capture
 
 -- Give a bus a name that no other has.  If several buses have the name of its interface, or may
--- have it in a live capture, append "#" and what tells them apart.
+-- have it in a live capture, append "#" and the mark that tells them apart.
 local function name_bus(self, number)
   local bus = self.buses[number]
   local name, has_index = bus.name, bus.index ~= 0
@@ -148,7 +148,7 @@ local function name_bus(self, number)
 end
 
 -- The number of a bus, which may be new.
--- index  what tells it from other buses of its interface, 0 if it is the only one
+-- index  the mark that tells it from other buses of its interface, 0 if it is the only one
 local function bus_number(self, interface, index)
   local number = interface.buses[index]
   if not number then
@@ -161,7 +161,7 @@ local function bus_number(self, interface, index)
   return number
 end
 
--- Note a time stamp.  A recorder without a clock gives all packets one stamp.
+-- Compare a time stamp with the first one.  A recorder without a clock gives all packets one stamp.
 -- of  its interface, or file: others may begin at another time
 local function compare_stamp(self, of, seconds)
   of.stamp = of.stamp or seconds
@@ -225,7 +225,7 @@ local function new_interface(self, linktype, name)
     shift = 0, -- seconds to add to its times
     buses = {}, -- by index
     bus = nil, -- of its packets, 0 if they carry no YAPP; nil if each tells it
-    direction = nil, -- of a serial line: the first one that came; that is `bus`
+    direction = nil, -- of a serial line: the first one that came, which has `bus`
     stamp = nil, -- that of its first packet
     dropped = 0, -- packets, as the statistics say
     accounted = 0, -- dropped packets, as options of packets say
@@ -234,7 +234,7 @@ local function new_interface(self, linktype, name)
   return interface
 end
 
--- Note an interface that may carry YAPP.
+-- Add an interface that may carry YAPP to the buses.
 local function add_bus_interface(self, interface)
   local linktype = interface.linktype
   local is_mixed, is_carrier = INDEX_OF[linktype] ~= nil, IS_CARRIER[linktype]
@@ -247,7 +247,7 @@ local function add_bus_interface(self, interface)
   self.has_serial = self.has_serial or IS_SERIAL[linktype]
 end
 
--- The functions in BLOCKS, below, read a block, whose first CHUNK bytes are available.  They return
+-- The functions in BLOCKS, below, read a block: its first CHUNK bytes are available.  They return
 -- true to read no further.
 
 local function read_interface(self, window, offset, length)
@@ -279,7 +279,7 @@ local function packet_options(window, offset, length)
   return start < stop and read_options(window, start, stop) or {}
 end
 
--- Note how many packets were dropped in front of the latest one.
+-- Add the packets that were dropped in front of the latest one.
 -- seconds  since 1970 at which that was captured
 local function add_drops(self, window, interface, seconds, options)
   local count = window:value(options[4] or "")
@@ -439,8 +439,8 @@ local function read_pcap(self, window, is_little, fractions)
   end
 end
 
--- By the first four bytes of a file: what reads it; of pcap, whether it is little endian, and the
--- fractions of a second in its times.
+-- By the first four bytes of a file: the function that reads it; of pcap, true if it is little
+-- endian, and the fractions of a second in its times.
 local FORMATS = {
   ["\212\195\178\161"] = { read_pcap, true, 1e6 },
   ["\161\178\195\212"] = { read_pcap, false, 1e6 },
@@ -526,10 +526,10 @@ local function new_capture()
     carriers = 0,
     count = 0,
     early = 0, -- packets before the second interface: all that may be YAPP are of bus 1
-    keeps = false, -- whether the buses of packets are wanted
-    has_serial = false, -- whether a serial line, whose packets may have a direction, is among them
-    has_serial_frames = false, -- whether one of its packets may have a YAPP frame
-    has_indexes = false, -- whether Linux cooked v2 is among the interfaces
+    keeps = false, -- true if the buses of packets are wanted
+    has_serial = false, -- true if a serial line, whose packets may have a direction, is among them
+    has_serial_frames = false, -- true if one of its packets may have a YAPP frame
+    has_indexes = false, -- true if Linux cooked v2 is among the interfaces
     entries = {}, -- [number of a packet] = its bus * TIMES + when it was captured
     interfaces = {}, -- of the file
     linktypes = {}, -- [number] = true
@@ -558,23 +558,23 @@ end
 -- returns a capture: {
 --   yapp_interfaces      number of interfaces that may carry YAPP
 --   carriers      number of others, whose packets may have CAN frames inside
---   has_several   whether it tells several buses apart, or will do so in a live capture
---   is_live       whether it is pcapng without a packet yet, as when a capture begins
---   is_told       whether it is of a format that this module reads
---   is_unknown    whether it may have buses that this module cannot tell apart: a file of Vector
+--   has_several   true if it tells several buses apart, or will do so in a live capture
+--   is_live       true if it is pcapng without a packet yet, as when a capture begins
+--   is_told       true if it is of a format that this module reads
+--   is_unknown    true if it may have buses that this module cannot tell apart: a file of Vector
 --                 BLF, or pcapng that was not read to its end and may describe them later
 --   count         how many packets were read
 --   names         [bus] = its name
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
---   lacks_times   whether packets have no time stamps
+--   lacks_times   true if packets have no time stamps
 --   stamps_differ whether two of the packets that were read have different ones
 --   start         if the first packet has no time stamp: that of the next one, seconds since 1970
 --   offset        of the CAN frame's data in each packet; nil where it is not always the same
 --   head          its first bytes, if it has packets and these may have YAPP frames, in TCP, UDP or
 --                 others, of which one packet may have only the beginning
---   has_serial_frames  whether a packet of a serial line in pcapng may have a YAPP frame
---   may_have_frames  whether its first bytes may have YAPP frames, or it has no packets yet }
+--   has_serial_frames  true if a packet of a serial line in pcapng may have a YAPP frame
+--   may_have_frames  true if its first bytes may have YAPP frames, or it has no packets yet }
 function M.read(head, more)
   local self, has_frame = new_capture(), has_header(head)
   local window = setmetatable({ text = head, start = 0, stop = #head, is_little = true }, Window)
@@ -624,7 +624,7 @@ end
 --- Return a function(number, offset, pinfo), which finds the bus of each packet in their order.  It
 -- returns the bus, nil where it is not known; and whether it is known.  Once a packet is another
 -- than the file's, all that follow are.
--- compares_times  whether pinfo.abs_ts is when the packet was captured
+-- compares_times  true if pinfo.abs_ts is when the packet was captured
 -- later           function(number): the same for packets that were not read
 function Capture:bus_finder(compares_times, later)
   local is_shifted = false
@@ -644,7 +644,7 @@ local function bus_in(self, interface, index, event, direction)
   return bus_number(self, interface, event and (DIRECTIONS[event] or "tx") or index)
 end
 
---- Return the bus of a packet that was not read, by what Wireshark's fields say.
+--- Return the bus of a packet that was not read, by the values of Wireshark's fields.
 -- section    its number, from 1
 -- interface  its number in the section
 -- index      of Linux cooked v2, 0 for none; event: of RTAC, or nil
@@ -668,7 +668,7 @@ end
 
 --- Return the name of a bus.
 -- bus      nil where the capture has one
--- is_ip    whether the packet came in UDP or TCP, so by any interface
+-- is_ip    true if the packet came in UDP or TCP, so by any interface
 -- returns  text, nil where the capture has no name for it
 function Capture:name(bus, is_ip)
   if bus then return self.names[bus] end

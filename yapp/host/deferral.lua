@@ -4,8 +4,8 @@
 -- header.  Wireshark's API.
 --
 -- A frame:
---   no dissector accepts it ───► NOTED ────► the tap counts it, and reports what may be a message
---   its id is not known, or ───► DEFERRED ─► the tap dissects it, unless it is no data frame
+--   no dissector accepts it ──► REMEMBERED ──► the tap counts it, and reports a possible message
+--   its id is not known, or ──► DEFERRED ────► the tap dissects it, unless it is no data frame
 --   whether it is remote
 --
 -- Without a deferral, a wrapper in front of SocketCAN reads all headers (host.socketcan).  Frames
@@ -27,7 +27,7 @@ Deferral.__index = Deferral
 
 --- Make the deferral of one plugin.
 -- reading  a reading.reading
--- builder  a show.tree: whether anything is shown
+-- builder  a show.tree, which knows if anything is shown
 -- buses    a host.buses
 -- dissect  function(tvb, pinfo, tree, id, accepts_all, length), of host.can
 function M.new(reading, builder, buses, dissect)
@@ -37,14 +37,14 @@ function M.new(reading, builder, buses, dissect)
     buses = buses,
     dissect = dissect,
     on_remember = false, -- function() while a statistic runs, see Deferral:open
-    is_undecided = false, -- whether frames may be deferred, see Deferral:decide
-    defers = false, -- whether they are
+    is_undecided = false, -- true if frames may be deferred, see Deferral:decide
+    defers = false, -- true if they are
     -- The frame that waits:
     number = false, -- of its packet, or false
     offset = 0, -- of its data in the packet
     captured = 0, -- captured bytes of it; length = number of bytes on the bus
     length = 0,
-    deferred = false, -- { id = nil if it is not known, accepts_all }; false if it is only noted
+    deferred = false, -- { id = nil if it is not known, accepts_all }; or false
     -- Frames whose header a tap has read, since the statistic began:
     can = 0, -- all of them
     extended = 0, -- extended data frames
@@ -56,14 +56,15 @@ function Deferral:reset()
   self.is_undecided, self.defers, self.number = false, false, false
 end
 
---- Begin to note frames: a statistic begins, and its tap of all packets calls Deferral:on_header.
--- on_remember  function(), called when a frame is noted
+--- Begin to remember frames: a statistic begins, and its tap of all packets calls
+-- Deferral:on_header.
+-- on_remember  function(), called when a frame is remembered
 function Deferral:open(on_remember)
   self.on_remember = on_remember
   self:reset_counts()
 end
 
---- End to note frames.
+--- Remember no more frames.
 function Deferral:close()
   self.on_remember, self.number = false, false
 end
@@ -86,8 +87,8 @@ function Deferral:decide(wants)
   if self.defers then socketcan.unwrap() end
 end
 
---- Note a frame that no dissector has accepted yet.
--- returns  whether a tap of its packet will read its header
+--- Remember a frame that no dissector has accepted yet.
+-- returns  true if a tap of its packet will read its header
 function Deferral:remember(tvb, pinfo)
   if not (self.on_remember and socketcan.is_record(tvb, pinfo)) then return false end
   self.number, self.offset, self.deferred = pinfo.number, tvb:offset(), false
@@ -98,8 +99,8 @@ end
 
 --- Defer a frame if that is possible.
 -- id           29-bit CAN id, nil if it is not known
--- accepts_all  whether the user says that every extended frame is YAPP
--- returns      whether the tap of its packet will dissect it
+-- accepts_all  true if the user says that every extended frame is YAPP
+-- returns      true if the tap of its packet will dissect it
 function Deferral:defer(tvb, pinfo, tree, id, accepts_all)
   if self.is_undecided then -- asked now: the tap has no tree
     self:decide(self.builder:wants(tree, pinfo, false))
@@ -109,12 +110,12 @@ function Deferral:defer(tvb, pinfo, tree, id, accepts_all)
   return true
 end
 
---- Forget the frame that was noted: Decode As accepts it, which the table of ids refused.
+--- Forget the frame that the table of ids refused: Decode As accepts it.
 function Deferral:forget()
   if not self.deferred then self.number = false end
 end
 
--- Return the record of a frame that was noted.
+-- Return the record of a frame that was remembered.
 local function new_frame(self, tvb, pinfo, id)
   local frame, number = records.new_can_frame(), pinfo.number
   frame.key, frame.number = number * frame_key.PACKET + self.offset, number

@@ -18,7 +18,7 @@ local registered = {} -- list of { table of dissectors, port }
 local own, dissect -- Proto; its dissector, which most captures do not need
 
 --- Use a protocol from now on.
--- proto      that looks for YAPP, and leaves what is none
+-- proto      that looks for YAPP, and leaves other bytes
 -- dissector  of it: function(tvb, pinfo, tree)
 function M.use(proto, dissector)
   own, dissect = proto, dissector

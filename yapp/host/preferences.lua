@@ -32,7 +32,7 @@ function M.complain_once(texts)
   M.complain(new)
 end
 
---- Whether M.complain_once has shown a text.
+--- Return whether M.complain_once has shown a text.
 function M.has_said(text)
   return is_said[text] or false
 end

@@ -13,7 +13,7 @@ local usb = require "yapp.serial.usb"
 local M = {}
 
 local PACKET = frame_key.PACKET
-local INSIDE = PACKET / 2 -- offset of what TLS found in a packet
+local INSIDE = PACKET / 2 -- offset of the bytes that TLS found in a packet
 
 local Dissector = {}
 Dissector.__index = Dissector
@@ -34,7 +34,7 @@ function M.new(reading, view, builder, buses, tcp_header)
     in_pieces = {}, -- conversations, see Dissector:notes
     conversations = {}, -- those that are known to be in the file, see Dissector:expect
     read_late = {}, -- those whose first bytes may have been YAPP, and were not read
-    inside = false, -- what TLS found in the current packet, see put_inside
+    inside = false, -- bytes that TLS found in the current packet, see put_inside
     usb = false, -- of serial.usb
   }, Dissector)
 end
@@ -57,7 +57,7 @@ function Dissector:expect(conversations)
   end
 end
 
---- Look at the first bytes of the capture file, which may have frames.
+--- Search the first bytes of the capture file for conversations.
 function Dissector:scan(head)
   self:expect(self.reading.lines:scan(head))
   if self.reading:is_yapp(head) then self:watch_tcp() end
@@ -92,18 +92,18 @@ local function new_packet(self, line, pinfo, offset, bytes, length, wants)
     bytes = bytes, -- those that were captured
     length = length,
     truncated = is_truncated,
-    is_datagram = line.is_datagram, -- whether it is of UDP
-    is_complete = line.is_complete, -- whether it is what the framing of a raw dump found
+    is_datagram = line.is_datagram, -- true if it is of UDP
+    is_complete = line.is_complete, -- true if the framing of a raw dump made it
     is_tcp = line.is_tcp,
-    is_found = self.reading.found[line.trial_key], -- whether its conversation was found by content
+    is_found = self.reading.found[line.trial_key], -- true if its conversation was found by content
     line = line,
     stream = line.key,
     tag = line.tag,
     bus_name = line.bus,
     seq = nil, -- of TCP, if it is known: of the first byte
-    is_bus_known = true, -- whether the capture tells where it was captured
-    is_only_pass = wants.is_only_pass, -- whether it is never dissected again
-    wants_state = wants.state, -- whether the state of its messages is wanted
+    is_bus_known = true, -- true if the capture tells where it was captured
+    is_only_pass = wants.is_only_pass, -- true if it is never dissected again
+    wants_state = wants.state, -- true if the state of its messages is wanted
   }
 end
 
@@ -116,7 +116,7 @@ local function whole_packet(self, tvb, pinfo, wants)
   return packet
 end
 
--- Whether a packet of an unknown conversation may go on with a frame.
+-- Return whether a packet of an unknown conversation may go on with a frame.
 local function may_go_on(streams, pinfo)
   return streams:may_go_on(lines.tag(pinfo.port_type, pinfo.src_port, pinfo.dst_port))
 end
@@ -166,7 +166,7 @@ function Dissector:options()
   return senders.options(joined(unread, self.read_late))
 end
 
---- Whether packets of a serial line came.
+--- Return whether packets of a serial line came.
 function Dissector:has_serial()
   return self.reading.lines.has_serial
 end
@@ -200,7 +200,7 @@ local function dissect_segment(self, segment, tvb, pinfo, tree)
   dissect(self, packet, wants, tvb, pinfo, tree)
 end
 
--- Let a packet be what TLS found in a segment: a stream beside that of TCP.  Several records of a
+-- Put the bytes that TLS found in a segment into a stream beside that of TCP.  Several records of a
 -- segment have keys behind each other, behind those of TCP; they come anew on each revisit.
 local function put_inside(self, packet)
   local before, bytes, number = self.inside, packet.bytes, packet.number
@@ -215,9 +215,9 @@ local function put_inside(self, packet)
   packet.stream, packet.key = "tls|" .. packet.stream, number * PACKET + offset
 end
 
--- Dissect bytes in TCP.  Those of a segment are shown when TCP has shown the segment.  Others are
--- what TLS found in one, unless TCP has joined segments: but then others of the line came alone.
--- returns  whether they are YAPP's
+-- Dissect bytes in TCP.  Those of a segment are shown when TCP has shown the segment.  TLS found
+-- other bytes in one, unless TCP has joined segments: then other bytes of the line came alone.
+-- returns  true if they are YAPP's
 local function dissect_in_tcp(self, tvb, pinfo, tree)
   local segment, offset = tcp.current(pinfo.number), tvb:offset()
   local is_direct = segment and offset == segment.offset or not segment and offset > 0
@@ -245,7 +245,7 @@ end
 -- returns  the number of bytes that are ours
 function Dissector:dissect(tvb, pinfo, tree)
   local size = tvb:len()
-  -- An ICMP error only quotes what was sent before.
+  -- An ICMP error only quotes bytes that were sent before.
   if size == 0 or pinfo.in_error_pkt then return 0 end
   if pinfo.port_type == lines.TCP then
     return dissect_in_tcp(self, tvb, pinfo, tree) and size or 0

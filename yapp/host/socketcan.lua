@@ -44,7 +44,7 @@ local NAMES = { ["can.id"] = true, ["can.flags.xtd"] = true, ["can.flags.rtr"] =
 local function is_true(value) return value == true or value == 1 end
 
 --- Return the id of the current frame, which came by Decode As or by the heuristics.
--- returns  29-bit id; nil for what is no extended data frame; nil and true if nothing says it
+-- returns  29-bit id; nil if it is no extended data frame; nil and true if nothing tells
 function M.find_id(pinfo)
   if header.number == pinfo.number then return header.can_id end
   local fields = M.fields_of(NAMES)
@@ -98,7 +98,7 @@ end
 -- tvb       of the whole packet
 -- offset    of the data; length = on the bus
 -- known_id  the id, nil if it is not known: it proves the header and its byte order
--- returns   29-bit id; nil for what is no extended data frame; known_id if this is no header
+-- returns   29-bit id; nil if it is no extended data frame; known_id if this is no header
 function M.id_before(tvb, pinfo, offset, length, known_id)
   local id = known_id
   local has_room = offset >= HEADER and offset <= tvb:len()
@@ -119,7 +119,7 @@ end
 -- throws past Lua, which costs 2 of Lua's 200 nested calls for good.
 local thrown = 0
 
--- Hand a frame on to SocketCAN.  Of a truncated frame SocketCAN sees only the captured bytes, if
+-- Let SocketCAN dissect a frame.  Of a truncated frame SocketCAN sees only the captured bytes, if
 -- the frame cannot be YAPP or if dissectors have thrown too often.
 local function call_socketcan(inner, can_id, tvb, pinfo, tree)
   local length = tvb:len()
@@ -146,7 +146,7 @@ local origins -- [value] = { inner = dissector, is_little, dissectors = its tabl
 
 --- Read the CAN header of every frame from now on.
 -- proto          a Proto for the wrapper
--- is_first_pass  whether only frames that are new are read: the first one that is not ends it
+-- is_first_pass  true if only frames that are new are read: the first one that is not ends it
 function M.wrap(proto, is_first_pass)
   if origins then return end
   origins = {}

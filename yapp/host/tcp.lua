@@ -79,7 +79,7 @@ end
 --   length   number of data bytes that were sent; 0 for a reset
 --   seq      sequence number of the first one
 --   ack      sequence number that it acknowledges, or nil
---   is_syn   whether it begins a connection; is_end = whether it ends one
+--   is_syn   true if it begins a connection; is_end = true if it ends one
 --   number, epoch  of its packet: epoch = seconds since 1970
 --   is_ours  to be set if TCP hands it to YAPP }
 function M.current(number)

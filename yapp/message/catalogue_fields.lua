@@ -303,7 +303,7 @@ end
 --- Compile the rows of a message into its fields, by_name, time, flag_fields and alarms.
 -- message  its compiled head, with these tables, empty
 -- context  the subject of errors: context.field is set to the name or number of the current row
--- returns  the sum of the sizes in bytes.  It raises what is wrong.
+-- returns  the sum of the sizes in bytes.  It raises errors.
 function M.compile(message, rows, context)
   local build = { message = message, context = context, offset = 0, when = nil }
   add_rows(build, rows)

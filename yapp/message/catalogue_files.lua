@@ -72,7 +72,7 @@ local function add_entries(all, entries, path, problems)
 end
 
 --- Read the files of the catalogue and compile them as one.
--- files    list of { path =, optional = whether the file may be missing }, in order: a message of a
+-- files    list of { path =, optional = true if the file may be missing }, in order: a message of a
 --          later file replaces one of the same name
 -- reserved  optional { [filter name] = true } that no message may use
 -- returns  the compiled catalogue and a list of texts, each with the file, the message and the

@@ -64,7 +64,7 @@ end
 --- Update the faults with a message.
 -- changes  list of { field, value, raised = mask, cleared = mask }, see message.history
 -- time     seconds of the capture
--- returns  the steps, a list of { fault, is_raised = whether it rises or falls }, with set = list
+-- returns  the steps, a list of { fault, is_raised = true if it rises or falls }, with set = list
 --          of the faults that are set behind the message; nil if no bit of a fault changes.
 --          A fault is one table from its rise to its fall: { field = name, flag,
 --            time      when it rose

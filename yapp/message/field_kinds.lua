@@ -208,7 +208,7 @@ local function is_undefined(field, raw)
 end
 
 -- Append a remark.
--- lacks_meaning  whether the catalogue does not define the value
+-- lacks_meaning  true if the catalogue does not define the value
 local function add_remark(remarks, field, expert, lacks_meaning)
   remarks[#remarks + 1] = { field.index, expert, lacks_meaning }
 end

@@ -150,7 +150,7 @@ local function elapsed_since(source, message, advance)
   return advance > 0 and advance <= MAX_JUMP and advance or source.period
 end
 
--- Return whether the capture goes back by what the controller's clock does: its packets are not in
+-- Return whether the capture goes back as far as the controller's clock: its packets are not in
 -- the order of time, as in two logs one behind the other.  That is no reboot.
 local function did_both_go_back(source, advance, elapsed)
   if advance >= 0 or elapsed >= 0 or not source.has_clock then return false end
@@ -297,7 +297,7 @@ local function update(source, message, delta)
 end
 
 --- Add the next message, in the order of the capture.
--- is_only_pass  whether it is sure that it is not revisited
+-- is_only_pass  true if it is sure that it is not revisited
 -- message  { source = of message.types; raws = by index of field, nil if the payload does not fit;
 --          payload, seq, status; key = frame key: never falls; an equal one replaces a message;
 --          time = seconds of the capture }

@@ -132,7 +132,7 @@ end
 --- Compile the text of a message's values in Info.
 -- text     "{name:%.1f unit}" is "47.3 V"; "{name}" is without the unit, and with as many digits as
 --          make sense
--- returns  what M.writer_of takes.  It raises errors.
+-- returns  pieces for M.writer_of.  It raises errors.
 function M.compile_info(message, text)
   local pieces, index = {}, 1
   while index do

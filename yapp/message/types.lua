@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Which message type an ID carries on a bus, and what its source is called, as the user's
--- preferences have it.  Pure Lua.
+-- Finds the message type that an ID carries on a bus, and the name of its source, by the user's
+-- preferences.  Pure Lua.
 
 local text_of = require "yapp.message.text"
 
@@ -18,14 +18,14 @@ function M.new(catalogue)
     messages = catalogue.messages, -- the message types
     by_id = catalogue.by_id, -- [id] = message type, see Types:use; file readers may ask before
     sources = nil, -- the names that the user gave, see Types:use
-    several_ids = nil, -- [message type] = whether more than one ID carries it
+    several_ids = nil, -- [message type] = true if more than one ID carries it
     hidden = {}, -- see Types:use
     has_several = false, -- see Types:reset
   }, Types)
 end
 
 --- Forget the capture file.
--- has_several  whether the next one has several buses: then the name of a source includes its bus
+-- has_several  true if the next one has several buses: then the name of a source includes its bus
 function Types:reset(has_several)
   self.has_several = has_several
 end
@@ -73,12 +73,12 @@ local function write_of(message, hides_values)
   return message and text_of.writer_of(hides_values and message.info_rest or message.info)
 end
 
--- Whether only its bus tells a source from others.
+-- Return whether only its bus tells a source from others.
 local function needs_bus(self, bus, line)
   return bus and (self.has_several or line and line.is_shared)
 end
 
--- Return what a message is called: its title and the name of its source.  Without a name, the ID or
+-- Return the label of a message: its title and the name of its source.  Without a name, the ID or
 -- bus follows if it tells the source from others: "Motor Data left", "Motor Data 0x212 (can1)",
 -- "Motor Data", "ID 0x123".
 local function label_of(self, message, name, id, bus, line)
@@ -89,7 +89,8 @@ local function label_of(self, message, name, id, bus, line)
   return title .. (message and (" 0x%x"):format(id) or "") .. (bus and (" (%s)"):format(bus) or "")
 end
 
--- Return what the column Source has without a name: "can1 0x210", "10.0.0.1:14550 0x210", "0x210".
+-- Return the text of the column Source without a name: "can1 0x210", "10.0.0.1:14550 0x210",
+-- "0x210".
 local function column_text(self, id, bus, line)
   local before = line and line.label or not line and self.has_several and bus
   return (before and before .. " " or "") .. ("0x%x"):format(id)

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Finds messages that the recorder holds twice: its own sends and what it hears, `-i any`, a mirror
--- port, a radio that repeats.  Pure Lua.
+-- Finds messages that the recorder holds twice: it hears its own sends, or records with `-i any`,
+-- at a mirror port, behind a radio that repeats.  Pure Lua.
 --
 -- A copy has the bytes of an earlier message of its source, and comes less than 20 ms and less than
 -- half a period after it: a controller that hangs repeats its bytes after a whole period.  Without
@@ -73,8 +73,8 @@ local function latest_of(list)
   return latest
 end
 
--- Whether the stamps of a source mean nothing: it has had one stamp, as some programs give all that
--- they send, while another source advanced.  It is asked at each copy with that stamp.
+-- Return whether the stamps of a source mean nothing: it has had one stamp, as some programs give
+-- all that they send, while another source advanced.  It is asked at each copy with that stamp.
 local function stands_still(self, list)
   local before, now = list.others, {}
   for source, other in pairs(self.by_source) do
@@ -85,15 +85,15 @@ local function stands_still(self, list)
   return false
 end
 
---- Whether time stamps tell what is a copy.
+--- Return whether time stamps tell copies from originals.
 -- time  of a message or packet, seconds since the first packet
 function Copies:can_judge(time)
   return self.is_timed and (self.stamps_differ or time ~= 0)
 end
 
 --- Find the original of a message, in the order of the capture.
--- message       of reading.messages; on a revisit, return what was found before
--- is_only_pass  whether it is never asked for again
+-- message       of reading.messages; on a revisit, return the same as before
+-- is_only_pass  true if it is never asked for again
 -- returns       frame key of the message that it is a copy of; nil if it is none
 function Copies:find(message, is_only_pass)
   if message.visited then return self.originals[message.key] end

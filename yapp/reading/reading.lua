@@ -1,12 +1,12 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The reading of a capture: takes each frame and packet once, in the order of the capture, and says
--- what it turned out to be.  Pure Lua.
+-- The reading of a capture: reads each frame and packet once, in the order of the capture, and
+-- returns its result.  Pure Lua.
 --
 --   frame ──► can.reassembly ─┐
 --                             ├─► transfer ─► reading.messages ─► result ─► listener
 --   packet ─► serial.streams ─┘              (values, history)
 --
--- On a revisit, read_frame and recall_packet return what was found then.
+-- On a revisit, read_frame and recall_packet return the same result.
 
 local can_id = require "yapp.wire.can_id"
 local copies = require "yapp.reading.copies"
@@ -34,7 +34,7 @@ Reading.__index = Reading
 
 --- Make the reading.
 -- types  a message.types
--- buses  a host.buses: what the capture file says
+-- buses  a host.buses
 -- on_unknown  see can.reassembly
 function M.new(types, buses, on_unknown)
   return setmetatable({
@@ -63,7 +63,7 @@ function Reading:reset(options)
     return memo(function(id) return self.types:new_source(id, bus, self.buses:name(bus)) end)
   end)
   self.newest_key = 0 -- of the newest frame: one above it is new
-  self.saw_unknown_bus = false -- whether a frame came whose bus is not known
+  self.saw_unknown_bus = false -- true if a frame came whose bus is not known
   -- Of the current frame, used again as that is: the result of a plain fragment, that of others,
   -- and its message.
   self.plain = records.new_result("fragment", false)
@@ -111,14 +111,14 @@ local function new_frame_result(self, of_frame, kind, transfer, anomalies, index
   return report(self, result)
 end
 
--- Return what a frame is that was added before, as can.reassembly says it.
+-- Recall a frame that was added before; return as can.reassembly does.
 local function recall(self, of_frame)
   local kind, transfer, anomalies, index = self.reassembly:recall(of_frame)
   if transfer then of_frame.source = transfer.source end
   return kind, transfer, anomalies, index
 end
 
---- Read a frame: add the next one of the capture; on a revisit, recall what it was found to be.
+--- Read a frame: add the next one of the capture; on a revisit, recall it.
 -- of_frame  see reading.records
 -- returns   its result; nil for a frame that is not YAPP's
 function Reading:read_frame(of_frame)
@@ -150,8 +150,8 @@ function Reading:read_frame(of_frame)
   return kind and new_frame_result(self, of_frame, kind, transfer, anomalies, index)
 end
 
--- Return what a frame may be by its data, as { [CAN CTRL] = payload size of the message }: a Start,
--- or a message of the catalogue that fits into a single frame.
+-- Return the messages that data may be, as { [CAN CTRL] = payload size }: that of a Start, or one
+-- of the catalogue that fits into a single frame.
 local function possible_sizes(self, data)
   local sizes, _, size, reserved = {}, can_id.start(data)
   if #data == 8 and reserved == 0 and size > 8 then sizes[START] = size end
@@ -230,8 +230,8 @@ local function finding_result(self, packet, finding, index)
   return result
 end
 
--- Return what a packet turned out to be: its contents, as serial.streams has them, with the results
--- of its findings.
+-- Return the result of a packet: its contents, as serial.streams has them, with the results of its
+-- findings.
 local function new_packet_result(self, packet, contents)
   local results = {}
   for i, finding in ipairs(contents.findings) do
@@ -251,7 +251,7 @@ end
 -- packet   see host.serial
 -- returns  { results = list of a result for each frame, and for each stretch of bytes of no frame;
 --          pending, is_held, missing, leads_to = see serial.streams; is_unfinished = on a revisit:
---          whether the capture ends before the frame that the pending bytes begin }; false for a
+--          true if the capture ends before the frame that the pending bytes begin }; false for a
 --          datagram of others in a conversation that was found by content
 function Reading:add_packet(packet)
   local contents = self.streams:add(packet, not packet.is_only_pass)
@@ -321,9 +321,9 @@ local function waiting_result(self, packet, finding, index, may_go_on)
   return records.new_result("unfinished", of_frame)
 end
 
---- Return the results of what waits when all packets have come: messages that the capture ends
+--- Return the results that wait when all packets have come: messages that the capture ends
 -- before, and others behind a frame that seems to be open, or behind a gap in a TCP connection.
--- may_go_on  whether more packets may come, as in Wireshark: there every message that waits is one
+-- may_go_on  true if more packets may come, as in Wireshark: there every message that waits is one
 --            that the capture ends before; otherwise the first answer is the answer: messages that
 --            are read again would be copies
 function Reading:finish(may_go_on)

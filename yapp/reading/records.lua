@@ -13,16 +13,16 @@ function M.new_can_frame()
     key = 0, -- see base.frame_key
     number = 0, -- of its packet
     time = 0, -- seconds since the first packet
-    visited = false, -- whether it is a revisit
+    visited = false, -- true if it is a revisit
     can_id = false, -- the fields of its CAN id (wire.can_id)
     seq = 0, -- of can_id
     data = "", -- the captured bytes
     reported = 0, -- number of bytes on the bus
     bus = false, -- its number, or false
-    is_bus_known = true, -- whether the capture tells where it was captured
-    accepts_all = false, -- whether the user says that every extended frame is YAPP
-    is_only_pass = false, -- whether it is never dissected again
-    wants_state = false, -- whether the state of its message is wanted
+    is_bus_known = true, -- true if the capture tells where it was captured
+    accepts_all = false, -- true if the user says that every extended frame is YAPP
+    is_only_pass = false, -- true if it is never dissected again
+    wants_state = false, -- true if the state of its message is wanted
     -- The reading fills in:
     source = false, -- see message.types
     slot = 0, -- see can_id.slot
@@ -62,26 +62,25 @@ function M.new_message()
     payload = "", -- the bytes of it that came
     raws = false, -- the values by index of field (message.decode); false if the size does not fit
     remarks = false, -- the remarkable values (message.decode), false for none
-    has_fault = false, -- whether a fault flag is set
+    has_fault = false, -- true if a fault flag is set
     undecoded = false, -- number of payload bytes behind the type's size, false for none
     like = false, -- of an unknown message: the type that has its size, false for none
     copy_of = false, -- frame key of the message that it is a copy of, or false
-    is_advised = false, -- whether Info says in full which preference decodes it
-    is_usual = false, -- whether it is good and decoded, and nothing else is to be said of it
+    is_advised = false, -- true if Info says in full which preference decodes it
+    is_usual = false, -- true if it is good and decoded, and has nothing else to show
     -- Of message.history:
     change = false, -- the change, or false
     delta = false, -- seconds since the source's previous good message, or false
     state = false, -- the state at the message, or false if it is not known or not wanted
-    -- Whether nothing is known of what came before: nothing tells its bus, or controllers share its
-    -- source.
+    -- True if its past is not known: nothing tells its bus, or controllers share its source.
     is_unreliable = false,
   }
 end
 
---- Make the record of what a frame, or a part of a packet, turned out to be.
+--- Make the record of the result of a frame, or of a part of a packet.
 -- kind     "single", a message in one frame; "last", which ends a message of several; "fragment";
---          "other", which has no message; "skipped", bytes of no frame; "unfinished", what the
---          capture ends before; "undissected", which may be a message that is not decoded
+--          "other", which has no message; "skipped", bytes of no frame; "unfinished", a message
+--          that the capture cuts off; "undissected", which may be a message that is not decoded
 -- frame    see above
 -- returns  all that the view and the statistics see
 function M.new_result(kind, frame)
@@ -93,7 +92,7 @@ function M.new_result(kind, frame)
     anomalies = false, -- list of { expert, text, ... }, see can.reassembly; or false
     index = false, -- of the frame in its transfer, on a revisit; or false
     length = 0, -- number of bytes: of skipped ones; size of an undissected message
-    is_usual = false, -- whether it needs no expert item; known of CAN frames
+    is_usual = false, -- true if it needs no expert item; known of CAN frames
   }
 end
 

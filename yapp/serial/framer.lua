@@ -4,17 +4,17 @@
 --
 -- Each "YP" with a header behind it is a candidate.  Candidates are judged in the order of their
 -- starts: the first one with a good CRC is a frame, and all that overlap it are dropped.  So a
--- frame wins over what its payload contains.  Bytes behind the start of an open candidate, whose
+-- frame wins over others in its payload.  Bytes behind the start of an open candidate, whose
 -- end has not come, wait for it:
 --
 --   0         12                              69      bytes 12 to 60 hold a good frame; it is shown
---   |YP header|  ...  |YP good frame|   ...   |       only if the CRC at 69 is bad
+--   |YP header|  .  |YP good frame|   ...   |       only if the CRC at 69 is bad
 --
 -- But a header of noise may claim 65,535 bytes.  So good frames do not wait for an open candidate
 -- of more than `patience` bytes, or of `noise_patience` if its header is not plausible: that of
 -- "TYPE = 12".  If a good frame comes first, that candidate is dropped.
 --
--- The header decides what a candidate without a good CRC is.  A message of the catalogue is that
+-- The header decides on a candidate without a good CRC.  A message of the catalogue is that
 -- message, damaged, up to where the next one begins.  Another plausible ID is a bad frame if all
 -- its bytes came and no message of the catalogue begins in them.  Everything else is noise.
 --
@@ -69,7 +69,7 @@ function M.new(size_of, patience)
     to = 0,        -- the end of the stream so far; serial.streams also reads `to` and `from`
     from = 0,      -- the first byte that is in no finding yet
     searched = 0,  -- every candidate that begins before this is known
-    is_ending = false, -- whether no more bytes come
+    is_ending = false, -- true if no more bytes come
     found = false, -- the open candidate that the search waited at last
   }, Framer)
   self:drop_candidates()
@@ -126,7 +126,7 @@ local function undouble(text, index, count)
   return table.concat(parts), index - start
 end
 
--- Whether a header is that of a message that there may be; its ID and size; whether it is known.
+-- Return whether a header may be that of a message, its size, and whether its ID is known.
 local function read_header(self, text, index)
   local id, size, reserved = frame.parse(text, index)
   if not id then return false end
@@ -163,7 +163,7 @@ local function candidate_at(self, index)
     bytes = nil,     -- of a frame in telnet: those before it
     is_plausible = is_plausible,
     is_known = is_plausible and is_known,
-    has_failed = false, -- whether its CRC is bad; false while it is open
+    has_failed = false, -- true if its CRC is bad; false while it is open
   }
 end
 
@@ -180,7 +180,7 @@ function Framer:find_candidate()
   return candidate_at(self, index)
 end
 
--- Whether the CRC of a frame is good.
+-- Check the CRC of a frame; return whether it is good.
 -- text, index  its bytes, from there on; length = of it
 function Framer:check_crc(text, index, length)
   local class, earned = math.floor(math.log(length, 2)), MAX_CREDIT + CREDIT * self.to
@@ -191,7 +191,7 @@ function Framer:check_crc(text, index, length)
   return crc.update(crc.INITIAL, text, index, to - CRC_SIZE) == frame.crc(text, to)
 end
 
--- Whether a candidate is a frame of telnet.  If more bytes have to come, its end moves.
+-- Return whether a candidate is a frame of telnet.  If more bytes have to come, its end moves.
 function Framer:check_telnet(candidate, index)
   local bytes, count = undouble(self.text, index, candidate.length)
   local is_sure = self.telnet == "is"
@@ -207,7 +207,7 @@ function Framer:check_telnet(candidate, index)
   return false
 end
 
--- Whether a candidate whose end has come is a frame; the end of one of telnet may move.
+-- Return whether a candidate whose end has come is a frame; the end of one of telnet may move.
 function Framer:judge(candidate)
   local index, is_sure = candidate.from - self.text_from + 1, self.telnet == "is"
   if not self.telnet then return self:check_crc(self.text, index, candidate.length) end
@@ -252,7 +252,7 @@ function Framer:skip(to)
   latest.to, self.from = to, to
 end
 
--- Return what a candidate without a good CRC is, if nothing before `limit` is open.
+-- Classify a candidate without a good CRC, if nothing before `limit` is open.
 -- behind   what begins at the limit: "open", "good" (a frame) or "end" (nothing)
 -- returns  "bad" or "incomplete" and its end; nil for noise; "open" if that is not decided yet
 local function class_of(self, candidate, limit, behind)
@@ -263,7 +263,7 @@ local function class_of(self, candidate, limit, behind)
   if candidate.is_known or stop == limit and behind == "end" then return "incomplete", stop end
 end
 
--- Append what lies before `limit` as findings: the damaged frames, the earliest start first, and
+-- Append the bytes before `limit` as findings: the damaged frames, the earliest start first, and
 -- the bytes between them.
 function Framer:settle(limit, behind)
   while self.first <= self.last and self.candidates[self.first].from < limit do
@@ -363,9 +363,9 @@ function Framer:first_waiting()
   return candidate
 end
 
---- Take the next bytes of the stream.
+--- Add the next bytes of the stream.
 -- bytes     string of any length
--- is_end    whether the stream ends behind them.  Then all findings become final: a frame whose end
+-- is_end    true if the stream ends behind them.  Then all findings become final: a frame whose end
 --           has not come is "incomplete", too.  Later bytes begin a new stream
 -- findings  list that the new findings are appended to; nil for a new one
 -- returns  the list, with the findings that are final now, in the stream's order; each byte of the
@@ -415,7 +415,7 @@ function Framer:pending()
 end
 
 --- Return whether a frame is not final yet: a capture that ends here ends before it.  A part of a
--- header is none, nor is what is more likely noise.
+-- header is none, nor are bytes that are more likely noise.
 -- returns  boolean, and the number of bytes to come, nil if all came
 function Framer:open_frame()
   for i = self.first, self.last + 1 do

@@ -29,12 +29,12 @@ function M.new(types, buses)
     clients = {}, -- [sender's address, receiver] = the latest line of TCP
     shared_ids = {}, -- [ID] = true: those that several senders in UDP or TCP have
     awaited = {}, -- by key of a line: the payload of the first frame that the file has of it
-    has_serial = false, -- whether a line is neither of UDP or TCP nor of an adapter
+    has_serial = false, -- true if a line is neither of UDP or TCP nor of an adapter
     sources = memo(function() return {} end), -- [sender in UDP or TCP][ID]
   }, Lines)
 end
 
---- Whether packets of a kind (pinfo.port_type) from an address are of UDP or TCP.
+--- Return whether packets of a kind (pinfo.port_type) from an address are of UDP or TCP.
 function M.is_ip(kind, address)
   return (kind == M.UDP or kind == M.TCP) and not NO_ADDRESS[address]
 end
@@ -42,21 +42,18 @@ end
 -- Make a line: {
 --   key          of its stream
 --   opposite     key of the other direction
---   bus_key      what a Command and its answers have in common: one key for both directions of a
+--   bus_key      of a Command and its answers: one key for both directions of a
 --                conversation or adapter, one for all of a UART
---   trial_key    what is found by content: a conversation, one direction of an adapter
---   tag          what few lines share: the kind and ports of packets; the key of an adapter's
---   bus          name or nil
---   label        text that tells its sources apart, nil if nothing does
---   is_shared    whether other senders in UDP or TCP have its latest ID, too
---   has_address  whether its packets have a sender
---   interface    of UDP or TCP: the name of its interface, or nil
---   is_tcp, is_datagram  whether it is of TCP, of UDP
---   is_complete  whether each of its packets is complete in itself: of a raw dump
---   latest       when its latest packet came, in seconds
---   is_over      whether a segment of it ends the connection
---   is_direct    whether TCP hands its bytes to YAPP; false where TLS does
---   awaited      the payload of the first frame that the file has of it; nil once it was read, or
+--   trial_key    of the bytes that are found by content: a conversation, one direction of an
+--   adapter tag          shared by few lines: the kind and ports of packets; the key of an
+--   adapter's bus          name or nil label        text that tells its sources apart, nil if
+--   nothing does is_shared    true if other senders in UDP or TCP have its latest ID, too
+--   has_address  true if its packets have a sender interface    of UDP or TCP: the name of its
+--   interface, or nil is_tcp, is_datagram  true if it is of TCP, of UDP is_complete  true if each
+--   of its packets is complete in itself: of a raw dump latest       when its latest packet came,
+--   in seconds is_over      true if a segment of it ends the connection is_direct    true if TCP
+--   hands its bytes to YAPP; false where TLS does awaited      the payload of the first frame that
+--   the file has of it; nil once it was read, or
 --                if it is not known
 --   sources      [ID] = a source, see Lines:source; all lines of a sender share them }
 local function new_line(key, opposite, bus_key, bus)
@@ -167,7 +164,7 @@ function Lines:await(conversations)
   end
 end
 
---- Note that a frame of a line was read.
+--- Mark that a frame of a line was read: the first one is awaited no more.
 function M.mark_read(line, transfer)
   local is_first = transfer.payload == line.awaited or transfer.status == "truncated"
   if line.awaited and is_first then line.awaited = nil end
@@ -197,7 +194,7 @@ function Lines:of_adapter(endpoint)
   return line
 end
 
---- Look at the first bytes of the file, which may have frames.
+--- Search the first bytes of the file for conversations.
 -- returns  the conversations in them, see serial.senders
 function Lines:scan(head)
   local conversations = senders.conversations(head)

@@ -34,12 +34,12 @@ local function new_stream()
 end
 
 --- Make the finder.
--- can_judge  function(time): whether time stamps tell what is a copy, see reading.copies
+-- can_judge  function(time): true if time stamps tell copies from originals, see reading.copies
 function M.new(can_judge)
   return setmetatable({ can_judge = can_judge, by_stream = memo(new_stream) }, Repeats)
 end
 
--- Whether bytes have the header of a frame up to its ID.
+-- Return whether bytes have the header of a frame up to its ID.
 local function has_id(bytes)
   local start = frame.find(bytes, 1)
   while start and start + ID_TO <= #bytes do
@@ -49,7 +49,7 @@ local function has_id(bytes)
   return false
 end
 
--- Whether a packet is a copy of an original with its bytes.
+-- Return whether a packet is a copy of an original with its bytes.
 local function is_copy(stream, original, packet)
   if abs(packet.time - original.time) >= MAX_DISTANCE then return false end
   local copies, number = stream.copies, original.number
@@ -72,7 +72,7 @@ function Repeats:expect_pairs(key)
   self.by_stream[key].copies[0] = 1 -- as if that were so of a packet before the first one
 end
 
---- Take the next packet of a stream.
+--- Compare the next packet of a stream with those before.
 -- packet   see serial.streams, and time = seconds since the first packet
 -- returns  0, or n if it is the n-th copy of one before
 function Repeats:copy_number(packet)

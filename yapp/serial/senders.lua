@@ -35,7 +35,7 @@ local function new_sender()
   }
 end
 
--- Whether a sender takes new ports.
+-- Return whether a sender takes new ports.
 local function takes_new_ports(sender, count)
   return sender.count >= count and sender.back <= sender.count * MAX_BACK
 end
@@ -58,7 +58,7 @@ function M.name(address, port)
   return shape:format(address, port)
 end
 
---- Return a name whose first part is what differs from others: "…12:40000".
+--- Return a name that begins with the part that differs from others: "…12:40000".
 -- name  of M.name
 function Senders:shorten(name)
   local short = self.short_names[name]
@@ -77,7 +77,7 @@ function Senders:shorten(name)
   return short
 end
 
---- Note a datagram of YAPP.
+--- Count a datagram of YAPP.
 -- address, port  of its sender
 -- time           in seconds; 0 if it is not known
 function Senders:count_datagram(address, port, time)
@@ -153,7 +153,7 @@ local function texts_of(addresses)
   return text(sub(addresses, 1, half)), text(sub(addresses, half + 1))
 end
 
--- Return an iterator over the starts of what may be frames.
+-- Return an iterator over the starts of possible frames.
 -- is_header  function(bytes, start)
 -- count      how many at most, nil for all
 local function frames_in(bytes, is_header, count)
@@ -168,8 +168,8 @@ local function frames_in(bytes, is_header, count)
   end
 end
 
---- Note the datagrams in the first bytes of a file, whatever carries them: those that begin with a
--- frame.  So a sender has its name from its first message on.
+--- Count the datagrams in the first bytes of a file that begin with a frame, whatever carries them.
+-- So a sender has its name from its first message on.
 function Senders:scan(bytes)
   local senders = memo(texts_of) -- [addresses] = that of the sender
   for start in frames_in(bytes, frame.is_plausible) do
@@ -186,15 +186,16 @@ end
 -- Headers in front of a frame: without and with TCP's usual option.
 local BEFORE = { { UDP, UDP_HEADER }, { TCP, 20 }, { TCP, 32 } }
 
--- Whether a header of TCP is as in front of data: its size in words of four bytes, and of its flags
--- ACK is set, SYN and RST are not.
+-- Return whether a header of TCP is as in front of data: its size in words of four bytes, and of
+-- its flags ACK is set, SYN and RST are not.
 local function is_before_data(bytes, index, row)
   if row[1] ~= TCP then return true end
   local size, flags = byte(bytes, index + 12, index + 13)
   return size * 4 / 16 == row[2] and flags % 32 >= 16 and flags % 8 < 2
 end
 
--- Whether a packet begins with a header, or with one up to its ID and ends before the header does.
+-- Return whether a packet begins with a header, or with one up to its ID and ends before the header
+-- does.
 -- stop  index behind the packet
 local function is_header_of(bytes, start, stop)
   local length = stop - start
@@ -210,8 +211,8 @@ local function first_payload(bytes, start)
   return is_inside and to <= #bytes and sub(bytes, from, to) or nil
 end
 
--- Return what all packets of one direction of a conversation have: bytes of the headers in
--- front of a frame, and the addresses in them; nil if no packet begins with the frame.
+-- Return the bytes that all packets of one direction of a conversation have in front of a frame,
+-- and the addresses in them; nil if no packet begins with the frame.
 -- row  of BEFORE: which header the frame may have in front of it
 local function key_before(bytes, start, row)
   local index = start - row[2]

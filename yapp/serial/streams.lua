@@ -45,7 +45,7 @@ Streams.__index = Streams
 --   latest    the latest packet; findings = those that it makes final
 -- and of TCP, nil until they are known
 --   next_seq  sequence number of the next byte
---   acked     what the other side has acknowledged
+--   acked     sequence number that the other side has acknowledged
 --   sent_seq  all bytes before it were sent, as the header of the segment sent_by shows
 --   gap       the gap before the held segments, see Streams:drops
 local function new_stream(framer)
@@ -54,15 +54,15 @@ local function new_stream(framer)
     pieces = {},      -- contents with bytes in no finding yet: pieces[first] to pieces[last]
     first = 1,
     last = 0,
-    is_ended = false, -- whether a new TCP connection has begun
-    is_cut = false,   -- whether a frame went on in another packet
+    is_ended = false, -- true if a new TCP connection has begun
+    is_cut = false,   -- true if a frame went on in another packet
     held = {},        -- contents of the segments behind a gap, by sequence number
   }
 end
 
 --- Make the streams of a capture.
 -- new_framer  function() -> a serial.framer
--- can_judge   function(time): whether time stamps tell what is a copy
+-- can_judge   function(time): true if time stamps tell copies from originals
 function M.new(new_framer, can_judge)
   return setmetatable({
     new_framer = new_framer,
@@ -74,7 +74,7 @@ function M.new(new_framer, can_judge)
     trials = {}, -- by key, of unknown conversations, see new_trial
     trial_count = 0,
     trials_by_tag = {}, -- how many, by tag of serial.lines
-    failed = {}, -- by key, of TCP: whether a trial ended without YAPP that a header had begun
+    failed = {}, -- by key, of TCP: true if a trial ended without YAPP that a header had begun
     contents_by_key = {}, -- by frame key: the results of Streams:add
     seqs = {},     -- by key, of TCP: the sequence number that follows others' bytes
     gaps = {},     -- those that were not filled, see Streams:drops
@@ -97,7 +97,7 @@ local function add_bytes(stream, contents, overlap)
   stream.pieces[stream.last] = contents
 end
 
--- Note where the bytes of a finding are.
+-- Set where the bytes of a finding are.
 -- contents  of the packet that shows it
 local function locate_finding(stream, finding, contents)
   local from = contents.from
@@ -139,7 +139,7 @@ local function hold_segment(stream, contents)
   table.insert(held, index, contents)
 end
 
--- Whether the capture does not have the segment that others wait for.
+-- Return whether the capture does not have the segment that others wait for.
 local function is_lost(stream, packet)
   return stream.acked and distance(stream.acked, stream.next_seq) > 0 or
     distance(packet.seq, stream.next_seq) > MAX_AHEAD or
@@ -161,7 +161,7 @@ local function last_gap(stream)
 end
 
 -- Add the waiting segments that are in order; go on behind a gap if its segment is lost.
--- is_over  whether no missing segment will come
+-- is_over  true if no missing segment will come
 local function add_held(self, stream, is_over)
   local held, latest = stream.held, stream.latest
   while held[1] do
@@ -184,8 +184,8 @@ local function add_held(self, stream, is_over)
   end
 end
 
--- Note that a segment's header shows that all bytes before a sequence number were sent: one less
--- than it says, as the end of a connection counts as a byte.
+-- Keep that a segment's header shows that all bytes before a sequence number were sent.  The number
+-- is one less than it says, as the end of a connection counts as a byte.
 local function update_sent(stream, seq, segment)
   local next_seq = not stream.is_ended and stream.next_seq
   if not next_seq or distance(seq, next_seq) > MAX_DISTANCE then return end
@@ -194,7 +194,7 @@ local function update_sent(stream, seq, segment)
   end
 end
 
--- Take a segment, and those that waited for it.
+-- Add a segment, and those that waited for it.
 local function add_segment(self, stream, contents)
   local packet = contents.packet
   local next_seq = stream.next_seq or self.seqs[packet.stream] or packet.seq
@@ -209,11 +209,11 @@ local function add_segment(self, stream, contents)
   add_held(self, stream, false)
 end
 
---- Note the header of a TCP segment.
+--- Add the header of a TCP segment.
 -- key       of its stream
 -- opposite  key of the stream of the other direction
 -- segment   of host.tcp
--- returns   whether the segment can be put in order: its stream and its next sequence number are
+-- returns   true if the segment can be put in order: its stream and its next sequence number are
 --           known
 function Streams:add_header(key, opposite, segment)
   local stream, other = rawget(self.by_key, key), rawget(self.by_key, opposite)
@@ -236,7 +236,7 @@ end
 
 -- Packets ----------------------------------------------------------------------------------------
 
--- Whether bytes hold good frames and nothing else.
+-- Return whether bytes hold good frames and nothing else.
 local function is_plain(findings, bytes)
   local length = 0
   for _, finding in ipairs(findings) do
@@ -267,7 +267,7 @@ local function split_alone(self, packet)
 end
 
 -- Return the stream that a packet belongs to, and whether it is one of copies.
--- is_alone  whether the packet is complete in itself: then the messages in it tell what is a copy
+-- is_alone  true if the packet is complete in itself: then its messages are compared
 local function stream_of(self, packet, is_alone)
   local key = packet.stream
   if is_alone or not packet.is_datagram then return self.by_key[key], false end
@@ -293,8 +293,9 @@ local function count_waiting(stream)
   return stream and stream.framer.to - stream.framer.from or 0
 end
 
--- Whether a datagram begins a frame behind its findings.  A single "Y" at the end of other bytes is
--- chance, and so is "YP" in front of what is no header, unless datagrams are known to cut frames.
+-- Return whether a datagram begins a frame behind its findings.  A single "Y" at the end of other
+-- bytes is chance, and so is "YP" that begins no header, unless datagrams are known to cut
+-- frames.
 local function begins_frame(stream, contents)
   local pending, length = contents.pending, contents.to - contents.from
   if pending == 0 or stream.is_cut then return pending > 0 end
@@ -302,7 +303,7 @@ local function begins_frame(stream, contents)
   return frame.may_be_plausible(stream.framer:pending(), 1)
 end
 
--- Whether a datagram is of others: it holds no frame, goes on with none and begins none.
+-- Return whether a datagram is of others: it holds no frame, goes on with none and begins none.
 -- waited  number of bytes that waited for it
 local function is_of_others(stream, contents, waited)
   for _, finding in ipairs(contents.findings) do
@@ -311,7 +312,7 @@ local function is_of_others(stream, contents, waited)
   return waited == 0 and not begins_frame(stream, contents)
 end
 
--- Whether a datagram is of MAVLink, and no frame is in it.
+-- Return whether a datagram is of MAVLink, and no frame is in it.
 local function is_of_mavlink(self, bytes)
   if not mavlink.is_whole(bytes) then return false end
   for _, finding in ipairs(self:split(bytes)) do
@@ -356,13 +357,13 @@ local function add_to_stream(self, stream, contents)
   end
 end
 
--- Keep what Streams:find returns.
+-- Keep the contents of a packet for Streams:find.
 local function keep_contents(self, packet, contents)
   local can_be_read_anew = not packet.is_datagram and is_plain(contents.findings, packet.bytes)
   self.contents_by_key[packet.key] = can_be_read_anew and PLAIN or contents
 end
 
--- Note that the capture does not have the end of a packet: whole frames may be missing.
+-- Add the gap of a packet whose end the capture lacks: whole frames may be missing.
 local function add_truncated_gap(self, stream, packet, findings)
   local last = findings[#findings]
   if packet.truncated and not (last and last.missing) then
@@ -370,27 +371,27 @@ local function add_truncated_gap(self, stream, packet, findings)
   end
 end
 
---- Take the next packet of the capture.
+--- Add the next packet of the capture.
 -- packet  {
 --   key          frame key; a second frame with this key replaces the first
 --   number       of the packet; bus_name = or nil
 --   epoch        of a segment, or if it is truncated: seconds since 1970
 --   bytes        string: those that were captured
---   truncated    whether the packet had more
---   is_datagram, is_tcp  whether it is of UDP, of TCP
---   is_complete  whether it is what the framing of a raw dump found
---   is_found     whether its conversation was found by content: it may have datagrams of others
+--   truncated    true if the packet had more
+--   is_datagram, is_tcp  true if it is of UDP, of TCP
+--   is_complete  true if the framing of a raw dump made it
+--   is_found     true if its conversation was found by content: it may have datagrams of others
 --   stream       key of the stream; tag = of its line
 --   seq          of TCP, if it is known: sequence number of the first byte
 --   length       number of bytes that it had }
--- is_stored  whether Streams:find may ask for it
+-- is_stored  true if Streams:find may ask for it
 -- returns  {
 --   findings  as from serial.framer, or with the status "truncated": the capture has only a part
 --             of the frame; and offset = in the packet.  If not all its bytes are in this packet:
 --             bytes = string, and packet_keys = of the packets they came in (none of skipped
 --             bytes).  Of a frame of telnet: bytes = those before telnet
 --   pending   number of bytes at the end that are in no finding yet
---   is_held   whether it is a segment that waits for a missing one: then all are pending
+--   is_held   true if it is a segment that waits for a missing one: then all are pending
 --   missing   number of bytes to come of the frame that the pending ones begin, or nil
 --   is_others whether it is a datagram of others: nothing else of it holds
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
@@ -409,7 +410,7 @@ function Streams:add(packet, is_stored)
   local stream, is_copy = stream_of(self, packet, whole)
   local waited, findings = count_waiting(stream), {}
   local contents = new_contents(packet, findings)
-  -- What waits was cut by a lost datagram if the next one is complete in itself.
+  -- A lost datagram cut the bytes that wait if the next one is complete in itself.
   if whole then stream.framer:add("", true, findings) end
   add_to_stream(self, stream, contents)
   if may_be_of_others and is_of_others(stream, contents, waited) then
@@ -435,7 +436,7 @@ function Streams:is_stored(key)
   return self.contents_by_key[key] ~= nil
 end
 
--- Whether a frame may begin in bytes of an unknown conversation.
+-- Return whether a frame may begin in bytes of an unknown conversation.
 local function has_start(bytes)
   return bytes:find("YP", 1, true) or sub(bytes, -1) == "Y"
 end
@@ -478,7 +479,7 @@ local function new_trial(self, packet)
     packets = {},
     tag = packet.tag,
     is_tcp = packet.is_tcp,
-    has_header = false, -- whether the begin of one came
+    has_header = false, -- true if the begin of one came
   }
   if packet.is_tcp then trial.framer:expect_telnet() end
   if packet.is_datagram then trial.paired_repeats:expect_pairs(packet.stream) end
@@ -493,7 +494,7 @@ local function trial_for(self, packet)
   return self.trials[packet.stream] or new_trial(self, packet)
 end
 
--- Whether bytes of a trial show that it is YAPP.
+-- Return whether bytes of a trial show that it is YAPP.
 local function is_proof(framer, findings)
   for _, finding in ipairs(findings) do
     if finding.status == "good" then return true end
@@ -512,7 +513,7 @@ function Streams:end_trial(key)
   return trial.packets
 end
 
--- Whether the bytes of a trial may go on: with a plausible header, or the start of one.
+-- Return whether the bytes of a trial may go on: with a plausible header, or the start of one.
 local function has_begun(framer)
   local pending = framer.to - framer.from
   if pending == 0 or pending > MAX_TRIAL then return false end
@@ -529,15 +530,16 @@ local function keep_on_trial(trial, packet)
   return true
 end
 
--- Whether the bytes of a trial show that it is YAPP, each packet of which was recorded twice.
+-- Return whether the bytes of a trial show that it is YAPP, each packet of which was recorded
+-- twice.
 local function is_in_pairs(trial, packet)
   local framer = trial.paired_framer
   if not framer or trial.paired_repeats:copy_number(packet) > 0 then return false end
   return is_proof(framer, framer:add(packet.bytes, packet.truncated))
 end
 
--- Whether a trial has had the bytes of a packet: by its port, which asks before the heuristics do;
--- or in the packet that it is a copy of.
+-- Return whether a trial has had the bytes of a packet: by its port, which asks before the
+-- heuristics do; or in the packet that it is a copy of.
 local function has_packet(trial, packet)
   local packets = trial.packets
   local latest = packets[#packets]
@@ -547,7 +549,7 @@ local function has_packet(trial, packet)
   return true
 end
 
--- Whether a good frame begins before an offset.
+-- Return whether a good frame begins before an offset.
 local function is_good_before(findings, offset)
   for _, finding in ipairs(findings) do
     if finding.status == "good" then return finding.from < offset end
@@ -556,7 +558,7 @@ local function is_good_before(findings, offset)
 end
 
 -- Add a packet to a trial.
--- returns  whether its bytes show YAPP; whether those before belong to its first frame
+-- returns  true if its bytes show YAPP; true if those before belong to its first frame
 local function add_to_trial(trial, packet)
   local framer = trial.framer
   local from = framer.to
@@ -564,8 +566,8 @@ local function add_to_trial(trial, packet)
   return is_proof(framer, findings), is_good_before(findings, from)
 end
 
--- End a trial that has shown YAPP; return the list of its packets.
--- is_joined  whether they belong to the first frame; else they may be of others
+-- End a trial that has proved YAPP; return the list of its packets.
+-- is_joined  true if they belong to the first frame; else they may be of others
 local function end_proved_trial(self, packet, is_joined)
   local packets = self:end_trial(packet.stream)
   for _, earlier in ipairs(packets) do earlier.is_found = not is_joined end
@@ -578,9 +580,9 @@ function Streams:has_failed(key)
   return self.failed[key] or false
 end
 
---- Take a packet of an unknown conversation on trial.
+--- Add a packet of an unknown conversation to its trial.
 -- packet     as of Streams:add
--- is_proved  whether the packet alone shows that it is YAPP
+-- is_proved  true if the packet alone shows that it is YAPP
 -- returns    nil, unless the bytes that came so far have a frame, or the header of a message of the
 --            catalogue.  Then the list of the earlier packets, for Streams:add.  If they do not
 --            belong to the packet's first frame, they may be of others: is_found is set
@@ -601,14 +603,14 @@ function Streams:try_packet(packet, is_proved)
   return nil
 end
 
---- Whether the capture ends before the frame that a packet's pending bytes begin.
+--- Return whether the capture ends before the frame that a packet's pending bytes begin.
 function Streams:is_unfinished(contents, packet)
   if contents.pending == 0 or contents.leads_to then return false end
   local stream = self.by_key[packet.stream]
   return stream.latest.key == packet.key and stream.framer:open_frame()
 end
 
--- Return what waits in a stream: its pending bytes, and the segments behind each gap.
+-- List the bytes that wait in a stream: its pending ones, and the segments behind each gap.
 -- returns  list of { bytes, packet = the stream's latest; behind a gap the last with some of them }
 local function list_waiting(stream)
   local last = { bytes = stream.framer:pending(), packet = stream.latest }
@@ -628,7 +630,7 @@ local function list_waiting(stream)
   return list
 end
 
---- Return what the streams hold beside the contents of packets, if the capture ends here.
+--- List the findings that wait in the streams, if the capture ends here.
 -- returns  list of { packet = see above, findings = as from Streams:add, each with its bytes, and
 --          offset = in these }
 function Streams:unfinished()
@@ -643,7 +645,7 @@ function Streams:unfinished()
   return list
 end
 
---- Return what the capture does not have: segments of TCP connections, the ends of packets.
+--- List the losses of the capture: segments of TCP connections, the ends of packets.
 -- returns  list of { time = seconds since 1970, frame = number of the packet behind the gap,
 --          bus = name or nil, count = 1 }
 function Streams:drops()

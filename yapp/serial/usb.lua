@@ -5,7 +5,7 @@
 -- Their bulk endpoints carry the bytes of the line as they are.  FTDI's adapters put two bytes of
 -- status in front of each packet of the bus, of which a transfer may have several:
 --
---   01 60 59 50 ...   62 bytes of the line behind 2 of status, then again 2 and up to 62
+--   01 60 59 50 .   62 bytes of the line behind 2 of status, then again 2 and up to 62
 
 local M = {}
 
@@ -73,8 +73,8 @@ local Y, P = byte("YP", 1, 2)
 local TRANSFER = { usbmon = 10, usbmon_mapped = 10, usbpcap = 23 } -- index in the header
 local DATA = { usbmon = 48, usbmon_mapped = 64 } -- offset; usbpcap has it in its first byte
 
---- Whether a packet need not be read while no line with YAPP is known: no frame begins in its data,
--- and it describes no device.  Most packets of others are so, and the test is quick.
+--- Return whether a packet need not be read while no line with YAPP is known: no frame begins in
+-- its data, and it describes no device.  Most packets of others are so, and the test is quick.
 -- kind, bytes  as of Usb:read_packet
 function M.is_of_others(kind, bytes)
   local transfer = byte(bytes, TRANSFER[kind])
@@ -176,8 +176,8 @@ end
 --     device    name of the adapter: usb1.6, of bus 1 and address 6 }
 --   bytes      of the line
 --   offset     of its data in the packet
---   has_status  whether there is more than the bytes of the line
---   truncated  whether the packet had more }
+--   has_status  true if there is more than the bytes of the line
+--   truncated  true if the packet had more }
 function Usb:read_packet(kind, bytes)
   local header = HEADERS[kind](bytes)
   local transfer = header and header.transfer

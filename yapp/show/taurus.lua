@@ -128,7 +128,7 @@ function ADD.flags(field, fields)
   end
 end
 
--- What is wanted ----------------------------------------------------------------------------------
+-- The parts that are wanted -----------------------------------------------------------------------
 
 -- Return the ProtoFields that a tree wants, by filter; nil for none.
 local function wanted_of(self, tree, filters)
@@ -173,7 +173,7 @@ local function add_state_steps(self, message, tree, plan)
 end
 
 -- Return how the tree of a message is built: a list of steps { field, index, parent = index of the
--- field that it is a part of, add = see ADD }; own = whether the message's field is wanted; and of
+-- field that it is a part of, add = see ADD }; own = true if the message's field is wanted; and of
 -- what is wanted: generated, rounded, states = lists; names = ProtoField of the names of faults.
 local function make_plan(self, message, tree)
   local plan, fields = { generated = {}, rounded = {}, states = {} }, self.fields
@@ -259,7 +259,7 @@ local function changes_text(message, active)
 end
 
 -- Add states.
--- is_fault  whether those about faults, or the others
+-- is_fault  true if those about faults, or the others
 local function add_states(message, plan, item, is_fault)
   for _, step in ipairs(message.state and plan.states or NONE) do
     local value = step.is_fault == is_fault and message.state[step.name]
@@ -267,7 +267,7 @@ local function add_states(message, plan, item, is_fault)
   end
 end
 
--- Add what is wrong, which stands above the values, with links to where it began and ended:
+-- Add the faults above the values, with links to where they began and ended:
 -- "[Faults: motor_overcurrent, raised here]".
 -- returns  its item, nil for none
 local function add_faults(message, plan, tree, top)
@@ -386,7 +386,7 @@ end
 -- top      the Taurus item; nil if no tree is wanted: then add expert items only
 -- other    the item for these if top is nil
 -- above    the item of its faults, nil for none
--- returns  what the Info column begins and ends with because of it:
+-- returns  the texts at the begin and the end of the Info column:
 --          "cleared motor_overcurrent, hall_timeout  ", "  REBOOT"
 function Taurus:add_change(message, top, other, above)
   local change, item, info, cleared = message.change, top or other, "", ""

@@ -45,11 +45,11 @@ function M.new(options)
     fields = options.fields,
     default_names = options.names, -- by ID
     wanted = nil, -- of Tree:wants, in the first pass of tshark
-    is_only_pass = false, -- whether it is known that there is one pass
+    is_only_pass = false, -- true if it is known that there is one pass
   }, Tree)
 end
 
---- Forget what was wanted of the file before.
+--- Forget the answers about the file before.
 function Tree:reset()
   self.wanted, self.is_only_pass = nil, false
 end
@@ -59,7 +59,7 @@ function Tree:only_pass()
   self.wanted, self.is_only_pass = nil, true
 end
 
--- What is wanted ----------------------------------------------------------------------------------
+-- The parts of a packet that are wanted -----------------------------------------------------------
 
 -- Despite its name, tree.hidden says whether there is a tree at all, shown or not.
 local IS_TSHARK = not gui_enabled()
@@ -102,19 +102,19 @@ local function ask_first(self, tree, pinfo)
 end
 
 --- Return which parts of a packet are wanted.
--- visited   whether the packet was shown before
+-- visited   true if the packet was shown before
 -- returns   {
---   yapp          whether YAPP's own items are shown, filtered or printed
---   taurus        whether those of messages are
---   tree          whether one of the two is
---   state         whether the state of messages that change nothing is wanted, too
---   names         whether the names of the protocols are wanted although the above are not, see
+--   yapp          true if YAPP's own items are shown, filtered or printed
+--   taurus        true if those of messages are
+--   tree          true if one of the two is
+--   state         true if the state of messages that change nothing is wanted, too
+--   names         true if the names of the protocols are wanted although the above are not, see
 --                 Tree:add_protocol_names
---   shows         whether anything but expert items is wanted
---   columns       whether there are columns: tshark has them for a packet list, and not with -V,
+--   shows         true if anything but expert items is wanted
+--   columns       true if there are columns: tshark has them for a packet list, and not with -V,
 --                 -q, most of -T or in a first pass of two
 --   plans         see show.taurus, nil where the answer may change
---   is_only_pass  whether it is sure that no packet is shown again, so that nothing need be kept: a
+--   is_only_pass  true if it is sure that no packet is shown again, so that nothing need be kept: a
 --                 tenth of a packet list }
 -- In tshark's first pass the answer is the same for all packets, so it is asked once; in Wireshark,
 -- and in later passes, it may change.
@@ -128,7 +128,7 @@ end
 
 --- Add the names of the protocols to a tree in which no field of YAPP is wanted, for -z io,phs.
 -- wants       of the tree
--- is_message  whether there is a message's name too
+-- is_message  true if there is a message's name too
 -- COMPAT 4.0, 4.4: from 4.6 on `referenced` tells.
 function Tree:add_protocol_names(tree, wants, is_message)
   add(tree, self.yapp)
@@ -274,7 +274,7 @@ local function show_bytes(self, message, view)
   return ("%s  %s%s"):format(message.source.label, Tree.bytes(#message.payload), info)
 end
 
--- Return what Info says of a message's values.  The source stands in it even if a column shows it
+-- Return the text of a message's values in Info.  The source stands in it even if a column shows it
 -- where something is wrong: Wireshark's list of expert items has no such column.
 local function values_text(message)
   local source = message.source

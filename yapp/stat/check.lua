@@ -103,7 +103,7 @@ end
 
 -- Why a rule cannot be judged, whatever was seen; nil for no reason.
 -- ok           FAILED if it does not seem to hold
--- is_exceeded  whether more packets cannot make it hold
+-- is_exceeded  true if more packets cannot make it hold
 local function reason_of(kind, group, ending, ok, is_exceeded)
   if kind.needs_time and ending.lacks_times then
     return ending.lacks_times

@@ -9,9 +9,9 @@
 --   finish(ending, notes, states)  ends; returns the exit code and a text, each nil for none:
 --                             ending = see Queue:finish; notes = texts on all that its answer
 --                             leaves out; states = by source, see new_state
---   follows_changes           whether it shows changes since the message before
---   lists_problems            whether it lists ending.problems itself
---   wants_messages_only       whether it needs no events but good messages and those with a bad CRC
+--   follows_changes           true if it shows changes since the message before
+--   lists_problems            true if it lists ending.problems itself
+--   wants_messages_only       true if it needs no events but good messages and those with a bad CRC
 
 local frame_key = require "yapp.base.frame_key"
 local joined = require "yapp.base.joined"
@@ -41,13 +41,13 @@ local function new_state()
     last = nil, -- its latest message
     last_at = nil, -- when that came, by the stamps of its source
     ahead = 0, -- seconds that the capture's clock was ahead then
-    is_counted = false, -- whether that counts
+    is_counted = false, -- true if that counts
     faults = NOTHING, -- list of those that are set, as they rose, see message.faults
     counted = { frame = 0 }, -- the latest reliable message that counts
     counted_at = nil,
     counted_faults = NOTHING, -- the faults that were set then
     held = nil, -- list of events that a `shared` may explain, see hold
-    is_numbered = false, -- whether Seq No numbers its messages: it changed
+    is_numbered = false, -- true if Seq No numbers its messages: it changed
     missing_by_period = 0, -- number of messages that fit into the gaps between its messages
   }
 end
@@ -215,7 +215,8 @@ local function missing_between(state, from, to)
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
 end
 
--- Emit what a message says of those before it: a silence, or that they were of two controllers.
+-- Emit the events before a message that it shows: a silence, or a source that two controllers
+-- share.
 local function emit_past(self, state, event, change)
   if change.shared then end_held(self, state, frame_key.number(change.shared)) end
   if change.late and state.is_counted then

@@ -40,7 +40,7 @@ local function new_values(want, spread)
     ordinary = not is_judged and field_kinds.linear_top(field) or false,
     low = want.low or -INFINITE,
     high = want.high or INFINITE,
-    lets_reserved = want.lets_reserved, -- whether a reserved value is not outside
+    lets_reserved = want.lets_reserved, -- true if a reserved value is not outside
     count = 0, -- of numbers, whose least, sum and largest follow, or those of raw values
     min = INFINITE,
     sum = 0.0,
@@ -114,7 +114,7 @@ end
 --   last_frame
 --   gap_min, gap_max = seconds, gap_max_frame
 --   silent = how long it has been silent at the capture's end, if that is a silence
---   is_unreliable = whether one of them had an unreliable history
+--   is_unreliable = true if one of them had an unreliable history
 --   values = a list, also by entry of Groups:wants
 --   bus_order = number of groups before the first one of its bus }
 local function new_group(self, source)
@@ -140,7 +140,7 @@ local Groups = {}
 
 --- Make a class of statistics that gather by source.
 -- class    its own methods, see stat.derive; wants, if it gathers other fields than all that are
---          numbers; compares = whether it gathers their spreads, too
+--          numbers; compares = true if it gathers their spreads, too
 -- returns  it, with class.new(options, context), which makes a statistic:
 --   options  of stat.options
 --   context  { queue = a stat.queue, which has the clock; settings = see stat.taps;
@@ -155,7 +155,7 @@ function M.class(class)
       list = list, -- of groups
       by_source = nil,
       capture = { counts = memo(new_count) }, -- a group: the events of the whole capture
-      absent = {}, -- by source: whether none of its messages came
+      absent = {}, -- by source: true if none of its messages came
       wanted = nil, -- by message: see Groups:wants
       spreads = memo(new_spread), -- by entry of Groups:wants
       bus_orders = memo(function() return #list end), -- [bus] = how many groups came before it

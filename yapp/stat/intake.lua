@@ -6,11 +6,11 @@
 --   invalid        list of values of `invalid` events, or nil
 --   size           number of its bytes, if the catalogue does not decode all of them
 --   undecoded      number of these bytes behind those that the catalogue has, or nil
---   is_unreliable  whether what came before the message is not known }
+--   is_unreliable  true if the past of the message is not known }
 -- The values of a loss are {
 --   shown    { what = "incomplete", "orphan" or "overrun" }: its values once it is handed on
 --   lost     a value that all losses of one message share, or nil
---   anomaly  { is_withdrawn = whether nothing is lost after all, is_open = whether that may
+--   anomaly  { is_withdrawn = true if nothing is lost after all, is_open = true if that may
 --            change } }
 
 local can_id = require "yapp.wire.can_id"
@@ -51,13 +51,13 @@ function M.new(catalogue)
     queue = nil, -- a stat.queue, while it is open
     leaving = {}, -- taps, see Intake:remove_later
     states = nil, -- by source
-    has_orphans = false, -- whether a state has had an orphan
+    has_orphans = false, -- true if a state has had an orphan
     stretches = nil, -- by line: skipped bytes, while nothing else comes
   }, Intake)
   return self
 end
 
---- Begin to hand on events.  What an earlier reading left behind is forgotten.
+--- Begin to hand on events.  Forget an earlier reading.
 function Intake:open(queue)
   self:reset()
   self.queue = queue
@@ -68,7 +68,7 @@ function Intake:close()
   self.queue = nil
 end
 
---- Forget what was read.
+--- Forget the results so far.
 function Intake:reset()
   self.states, self.stretches, self.has_orphans = memo(new_state), {}, false
 end
@@ -160,8 +160,8 @@ end
 
 -- Report the anomalies of a frame.  Anomalies that lose a message, or a part of one, are events.
 -- anomalies  list of { expert, lost = frame key of the Start of the message that is lost or nil,
---            is_withdrawn = whether nothing is wrong after all, is_open = whether that may change,
---            is_copy = whether a recorder holds the frame twice, which loses nothing }
+--            is_withdrawn = true if nothing is wrong after all, is_open = true if that may change,
+--            is_copy = true if a recorder holds the frame twice, which loses nothing }
 local function report_anomalies(self, frame, anomalies)
   local state, fields = self.states[frame.source], frame.can_id
   for _, anomaly in ipairs(anomalies) do

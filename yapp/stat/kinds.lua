@@ -12,7 +12,7 @@ local M = {}
 -- text        the second one, for people: {key} is a value of the event
 -- keys        in JSON, besides those of every event
 -- is_optional whether `check` without rules does not judge it (others as NAME=0)
--- is_counted_only  whether `events` does not list it, as it is nothing that happened
+-- is_counted_only  true if `events` does not list it, as it is nothing that happened
 -- counts_as   the kind whose rule counts it; nil if it has a rule NAME=N of its own
 -- amount      the key whose values the rule adds up; nil: each message counts once
 -- change      the key for the value of message.history's change of this name
@@ -20,10 +20,10 @@ local M = {}
 -- scope       "capture": one verdict for the whole capture; "rare": one for each source that has
 --             such events; nil: one for each source that can have them
 -- about       key that the message type of a source must have; nil for any source with an ID
--- needs_past  whether it can be judged only with a good message and a reliable history
+-- needs_past  true if it can be judged only with a good message and a reliable history
 -- needs_values  the same with a message that was decoded
 -- is_doubtful whether a `shared` behind it may explain it, see stat.derive
--- needs_time  whether it can be judged only if packets have time stamps
+-- needs_time  true if it can be judged only if packets have time stamps
 M.LIST = {
   {
     "fault",

@@ -80,8 +80,8 @@ end
 -- text     a rule of it, as errors and docs/statistics.md name it
 -- help     its meaning, for people
 -- measure  see above
--- bound    the limit that a number is: "low" or "high"; is_count = whether it has no fraction
--- takes_range  whether the limit may be A..B, A.. or ..B; nothing else if there is no bound
+-- bound    the limit that a number is: "low" or "high"; is_count = true if it has no fraction
+-- takes_range  true if the limit may be A..B, A.. or ..B; nothing else if there is no bound
 -- want     of a field: function(rule, field) -> an entry of Groups:wants
 -- needs_past, needs_time, scope  as in rows of kinds
 

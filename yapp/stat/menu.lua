@@ -88,7 +88,7 @@ local notes_of_age = {}
 local function open_window(title, make, stat)
   local window, content, frames = TextWindow.new("YAPP " .. title), nil, nil
   local total, time = 0, "" -- of the reading
-  local is_old = true -- whether nothing is to be said: it was said, or the reading goes on
+  local is_old = true -- true if nothing is to be said: it was said, or the reading goes on
   local is_closed = false -- a closed window takes no text; the reading may go on without it
   local function set(text)
     if not is_closed then window:set(text) end

@@ -226,8 +226,8 @@ end
 -- help     its meaning, for people
 -- ask      the question of a menu; the answer follows the name
 -- file     the name of a new file that a menu suggests
--- table_only  whether its output has no room for notes
--- looks_for_faults  whether it must say which messages may hide a fault, as it does not list them
+-- table_only  true if its output has no room for notes
+-- looks_for_faults  true if it must say which messages may hide a fault, as it does not list them
 M.LIST = {
   {
     name = "summary",
@@ -310,7 +310,7 @@ end
 -- returns    { what =, row = of LIST, filter = or nil,
 --            json = true and other words of the row's options, if they were given,
 --            statistics = LIST; folder, chosen = of csv; rules, junit = of check;
---            looks_for_faults = whether a rule is about faults; problems = list of texts, each
+--            looks_for_faults = true if a rule is about faults; problems = list of texts, each
 --            names its option }
 function M.read(text, catalogue)
   local head, filter = text:match("^(.-),%s*filter%s*=(.*)$") -- a display filter, commas and all

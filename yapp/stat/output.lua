@@ -96,7 +96,7 @@ end
 
 --- Return the text of a value for people: of a fraction six digits, in a window five.  NaN stands
 -- for a reserved value.
--- is_short  whether in a window
+-- is_short  true if in a window
 function M.text(value, is_short)
   if type(value) == "table" then value = is_short and value.short or value.text end
   if value ~= value then return "reserved" end
@@ -315,7 +315,7 @@ function M.table(context, columns, rows, row_of)
 end
 
 --- Print rows: for people under a title and the notes, or as a JSON object a line.
--- context  { out = function(text), json = whether so, frames = in a window a list that gets the
+-- context  { out = function(text), json = true if so, frames = in a window a list that gets the
 --          frames of the rows, else nil }
 -- columns  of M.columns; a row may have keys of its own for its line of JSON, row.keys
 -- rows     tables by key

@@ -17,8 +17,8 @@ local MAX_LOSSES = 1000 -- look through the waiting losses when they are more, s
 local SEARCH_PREFERENCES = "yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first, " ..
   "-d tcp.port==PORT,yapp_serial, in Wireshark also yapp.search_all" -- tshark searches all
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
--- Clocks that begin anew at 0: of 2^32 microseconds, of a day.  What is missing to their end is the
--- time from one packet to the next.
+-- Clocks that begin anew at 0: of 2^32 microseconds, of a day.  The rest to
+-- their end is the time from one packet to the next.
 local WRAPS, MAX_REST = { 2 ^ 32 / 1e6, 86400 }, 10 -- seconds
 local MAX_APART = 0.2 -- seconds between the packets of recorders whose stamps alternate
 local MAX_RECORDERS = 5
@@ -50,7 +50,7 @@ function Queue:reset()
   self.offsets = { 0 } -- seconds that recorders are behind, that of the latest packet first
   self.guessed = 0 -- of these that of the latest packet of no message
   self.latest = 0 -- its number
-  self.has_progress = false -- whether it differs from the packet's before
+  self.has_progress = false -- true if it differs from the packet's before
   self.packets = 0
   self.clocks = {} -- by source, see time_of
   self:begins(0, 0, 0) -- until a time is known, if ever
@@ -166,7 +166,7 @@ end
 -- Hand on the losses that were not withdrawn: each lost message once.  Those that may still be
 -- withdrawn wait.  They are few, so all losses wait until they are twice as many: it costs little
 -- to look at them then.
--- is_end  whether none of them will be withdrawn any more
+-- is_end  true if none of them will be withdrawn any more
 local function deliver_losses(self, is_end)
   local losses, seen = self.losses, self.seen
   self.losses = {}
@@ -241,7 +241,7 @@ end
 --- Hand on events at once from now on, if all statistics are tables: no other can do without the
 -- taps of packets.  This saves a tenth of csv's time.  Call it from a tap, when no other packet
 -- still waits for its taps.
--- returns  whether events are handed on at once
+-- returns  true if events are handed on at once
 function Queue:go_direct()
   for _, deriver in ipairs(self.derivers) do
     if deriver.matched or not deriver.options.row.table_only then
@@ -343,9 +343,9 @@ end
 
 --- End: all packets have come.
 -- capture  { unfinished = events of the messages that it ends before, drops = of host.buses,
---          options = list of tshark's options that may decode what was not found, or nil; certain =
+--          options = list of tshark's options that may decode other packets, or nil; certain =
 --          those of them that certainly decode YAPP; notes = list of texts to say besides, or nil;
---          lacks_times = whether packets have no time stamps, extended = number of extended CAN
+--          lacks_times = true if packets have no time stamps, extended = number of extended CAN
 --          frames that were not dissected, can = number of all such CAN frames, problems = list of
 --          texts: why not all was read, unread = the same in short if
 --          packets were left out, nil if none }

@@ -39,7 +39,7 @@ Stat.__index = Stat
 --     problems      list of texts: wishes of the user that were not met }
 --   intake     a stat.intake, builder = a show.tree, buses = a host.buses
 --   reading    a reading.reading, frames = a host.can, deferral = its host.deferral
---   find_options  function() -> list of tshark's options that may decode what was not found, and
+--   find_options  function() -> list of tshark's options that may decode other packets, and
 --              those of them that certainly decode YAPP
 --   notes      function() -> list of texts to say of streams
 --   watch      function(path), called when statistics begin; path of tshark's file or nil

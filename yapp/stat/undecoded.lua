@@ -27,7 +27,7 @@ function M.new(settings)
   return setmetatable({
     settings = settings,
     -- Messages that were not decoded at all: { source, size, likes = messages of this size,
-    -- is_own = whether that of the source is one, is_decodable = whether a preference of IDs can
+    -- is_own = true if that of the source is one, is_decodable = true if a preference of IDs can
     -- decode it, about = a text, values = of its events } each.
     whole = {},
     parts = {}, -- the same of those whose first bytes were decoded
@@ -37,7 +37,7 @@ function M.new(settings)
 end
 
 -- Return the text about a size.
--- own     the source's message, is_own = whether this message has the size
+-- own     the source's message, is_own = true if this message has the size
 -- titles  of the messages that have it
 local function describe(own, is_own, titles)
   if is_own then return ("%s with a YAPP CTL other than 0"):format(own.title) end

@@ -36,8 +36,8 @@ local function split(fields_of, id)
 end
 
 --- The fields of a 29-bit CAN id ("CAN Message IDs"): fields[id], for 0 .. 0x1FFFFFFF, is
---   { id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, message_key = what the frames of
---   a message share: the id without CAN CTRL }
+--   { id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, message_key = that of all frames
+--   of a message share: the id without CAN CTRL }
 -- The same id usually gets the same table, which only M.seed writes to.  The cache is weak: a bus
 -- has few ids, but a hostile capture may have any number.
 M.fields = setmetatable({}, { __mode = "v", __index = split })
@@ -49,7 +49,8 @@ function M.slot(fields, bus)
 end
 
 --- Return how many bytes of CAN FD padding the last or only frame of a message has.
--- data    its captured bytes; reported: its length on the bus; needed: what the message still lacks
+-- data    its captured bytes; reported: its length on the bus; needed: bytes that the message still
+--         lacks
 -- returns 0 if it fits exactly, the number of zero bytes if it is padded as CAN FD is, else nil
 function M.padding(data, reported, needed)
   if reported == needed then return 0 end
@@ -97,7 +98,7 @@ function M.crc(fields, payload, reserved)
   return crc.update(M.seed(fields, #payload, reserved), payload, 1, #payload)
 end
 
---- What a Start says ("Multi-Frame Start").
+--- Read a Start ("Multi-Frame Start").
 -- data     its captured bytes
 -- returns  crc, size, reserved; each nil where its bytes are not there
 function M.start(data)

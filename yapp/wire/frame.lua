@@ -50,7 +50,7 @@ function M.may_be_plausible(bytes, from)
   return (id1 or 0) <= 7 and (id2 or 0) + (id3 or 0) + (rest0 or 0) + (rest1 or 0) == 0
 end
 
---- Whether the header at a "YP" is as the document has it, up to its ID.
+--- Return whether the header at a "YP" is as the document has it, up to its ID.
 -- bytes, from  as for M.parse
 function M.has_id(bytes, from)
   return M.may_be_plausible(bytes:sub(from, from + 7), 1)
