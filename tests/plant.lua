@@ -190,7 +190,7 @@ local function spoil(text)
   local key = '("' .. literal(name) .. '":)'
   text = text:gsub(key .. '"', '%1"?'):gsub('("' .. literal(name) .. ')":([{%[])', '%1?":%2')
   return (text:gsub(key .. "(%-?[%d.]+)", function(before, number) return before .. number + 1 end)
-    :gsub(key .. "true", "%1false"))
+    :gsub(key .. "true", "%1false"):gsub(key .. "null", "%10"))
 end
 
 local function spoiled(...)

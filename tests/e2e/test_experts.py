@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Expert items: each has a capture, a display filter that finds exactly its frames, and a line in -z expert."""
+import json
 import pathlib
 import re
 import sys
@@ -245,16 +246,19 @@ def test_group_and_severity_of_each():
 
 
 def test_help_of_a_flag(folder):
-    """Where the flag is set, and where it rose; not where it is not."""
+    """Where the flag is set, and where it rose; not where it is not.  And in the JSON of its fault."""
     (folder / "messages.lua").write_text(HELP)
     plugin = tshark.copy_plugin(folder / "plugin")
     (plugin / "taurus_fields.lua").write_text(HELP)
-    done = tshark.run(*tshark.load(plugin / "yapp.lua"), "-r", make.capture("events")[0], "-O", "taurus", plugin=False)
+    done = tshark.run(*tshark.load(plugin / "yapp.lua"), "-r", make.capture("events")[0], "-O", "taurus", "-z", "yapp,faults,json",
+                      plugin=False)
     trees = [tree for tree in re.split(r"(?m)^Frame \d+:", done.stdout)[1:] if "Taurus Motor Data" in tree]
     texts = [re.findall(r"(?m)^ +\[?(Fault Flags(?: raised)?: 0x.*?)\]?$", tree) for tree in trees]
     assert texts[1] == ["Fault Flags: 0x00010000 (motor_overcurrent); motor_overcurrent: look at the phases",
                         "Fault Flags raised: 0x00010000 (motor_overcurrent); motor_overcurrent: look at the phases"]
     assert "look at" not in "".join(texts[0] + texts[3])
+    faults = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    assert {(fault["flag"], fault["help"]) for fault in faults} == {("motor_overcurrent", "look at the phases"), ("hall_timeout", None)}
 
 
 def test_one_message_has_one_item_of_each_kind_about_faults():

@@ -190,7 +190,7 @@ class Wireshark:
             return ""
         return (done.stdout or b"").decode("utf-8", "replace")
 
-    def tree(self, *parts):
+    def tree(self, *parts, seconds=120):
         """Waits for a packet with all these in the lines that its tree shows."""
         shown = []
 
@@ -200,7 +200,7 @@ class Wireshark:
             shown[:] = self.clipboard().splitlines()
             return all(any(part in line for line in shown) for part in parts)
         try:
-            wait_for(found)
+            wait_for(found, seconds)
         except AssertionError as error:
             raise AssertionError(f"no tree with {parts}: {shown}") from error
 

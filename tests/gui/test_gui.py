@@ -182,6 +182,8 @@ def test_a_missing_filter_is_seen(captures):
         wireshark.xdotool("mousemove", 300, 100, "click", "1")  # the list, where the keys then go
         wireshark.keys("ctrl+Home")
         wireshark.tree("Frame 1:")
+        with pytest.raises(AssertionError, match="no tree"):
+            wireshark.tree("Frame 719:", seconds=3)
 
 
 def text_of(wireshark, title, part=""):

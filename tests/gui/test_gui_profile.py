@@ -27,7 +27,7 @@ def capture():
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def wait_for_words(wireshark, words, area="", scale=300):
+def wait_for_words(wireshark, words, area="", scale=300, seconds=120):
     """Waits until all of these can be read."""
     read = []
 
@@ -35,7 +35,7 @@ def wait_for_words(wireshark, words, area="", scale=300):
         read[:] = [wireshark.words(area, scale).lower()]
         return all(word.lower() in read[0] for word in words)
     try:
-        gui.wait_for(found)
+        gui.wait_for(found, seconds)
     except AssertionError as error:
         raise AssertionError(f"not all of {words} in: {read[0]}") from error
 
@@ -54,6 +54,8 @@ def test_columns_buttons_colours(capture):
         wait_for_words(wireshark, ["YAPP"], f"{width}x30+{gui.WIDTH - width}+43")
         wireshark.xdotool("mousemove", gui.WIDTH - 60, 57, "click", "1")
         wait_for_words(wireshark, ["Messages only", "Not decoded", "Faults", "Wire", "Controllers", "Commands"])
+        with pytest.raises(AssertionError, match="not all of"):
+            wait_for_words(wireshark, ["Faults", "Telegrams"], seconds=3)
 
 
 def test_graphs(capture):

@@ -9,7 +9,7 @@ import assert from "node:assert/strict";
 import { existsSync, mkdtempSync, readFileSync, truncateSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { basename, dirname, join } from "node:path";
-import { after, test } from "node:test";
+import { test } from "node:test";
 import { TOP } from "../../tools/viewer.mjs";
 import { read as readAnswer } from "../../web/statistics.js";
 import { open, start } from "./harness.mjs";
@@ -171,7 +171,13 @@ test("what is no capture is refused with a reason", async () => {
   for (const path of unreadable) assert.throws(() => open(engine, path), /compressed by (zstd|lz4)/);
 });
 
-after(() => {
+test("the comparison saw something, and sees what differs", () => {
+  const [head, first, other] = ["Yet Another Packet Protocol, ID: 0x210", "    [ID: 0x210]", "    [ID: 0x211]"];
+  const seen = (...lines) => compared(lines, FLIGHT).map(tidy);
+  assert.deepEqual(seen(head, first), [head, "ID: 0x210"]);
+  assert.deepEqual(seen(head, other), [head, "ID: 0x211"]);
+  assert.ok(isOurs("1\t0.1\t\tYAPP\tMotor Data") && !isOurs("1\t0.1\t\tCAN\tID: 1"));
+  assert.ok(Object.values(counted).every((count) => count > 0), JSON.stringify(counted));
   console.log(`compared with tshark ${version}: ${chosen.length} captures, ${counted.rows} rows, ${counted.lines} lines of trees, ` +
     `${counted.statistics} statistics, ${counted.filters} filters`);
 });
