@@ -213,11 +213,12 @@ def generated_filters():
 
 def sweep(ident):
     """Payloads of a message: each bit of each field of flags alone, none and all; each reserved count of each compressed
-    float; each other count at both ends.  The rest are ordinary values."""
+    float; each other count at both ends, times behind the others, as a clock that goes back is a reboot.  The rest are
+    ordinary values."""
     fields = MESSAGES[ident][2]
     usual = {field: min(kind) if isinstance(kind, set) else 0 for field, _, kind in fields}
     found = [usual]
-    for field, size, kind in fields:
+    for field, size, kind in sorted(fields, key=lambda row: row[2] is None):
         top = 2 ** (8 * size) - 1
         if is_float(kind):
             counts = [top - special for special in range(6)]

@@ -204,15 +204,35 @@ def test_each_flag_and_each_reserved_count(folder, ident):
     flags = [name for name, kind in model.filters().items() if kind == "BOOLEAN" and name in wanted[0][0]]
     tshark.assert_found(path, [(f"{name} == 1", [message["frame"] for message, (fields, _) in zip(source.messages, wanted)
                                                  if fields[name] == "1"]) for name in flags])
-    undefined = {}  # by filter
-    for field, _, kind in filter(lambda row: model.is_flags(row[2]), model.MESSAGES[ident][2]):
-        path_of = f"taurus.{model.MESSAGES[ident][0]}."
-        for message, (fields, _) in zip(source.messages, wanted):
-            bits = int(fields[path_of + field], 16) & ~sum(kind[1])
-            if bits:
-                undefined.setdefault(f"{path_of}{kind[0]}.undefined == {bits:#x}", []).append(message["frame"])
-    if undefined:
-        tshark.assert_found(path, list(undefined.items()))
+    rows = of_flags(ident, [fields for fields, _ in wanted])
+    names = sorted({name for row in rows for name in row})
+    assert {name.rpartition(".")[2] for name in names} >= ({"names", "raised", "cleared"} if flags else set())
+    if names:
+        shown_rows = tshark.fields(path, names, separator="|")
+        found = [dict(zip(names, shown_rows[message["frame"] - 1], strict=True)) for message in source.messages]
+        assert found == [{name: row.get(name, "") for name in names} for row in rows]
+
+
+def of_flags(ident, messages):
+    """What fields of flags show besides the flags, of each of some messages: { filter name: text }.
+
+    messages  what the fields of each show"""
+    rows, before = [], {}
+    for fields in messages:
+        row = {}
+        for field, size, (group, bits) in filter(lambda row: model.is_flags(row[2]), model.MESSAGES[ident][2]):
+            top = f"taurus.{model.MESSAGES[ident][0]}."
+            now = int(fields[top + field], 16)
+            old = before.get(field, now & ~model.ALARMS.get(field, 0))  # in a first message faults are raised
+            before[field] = now
+            unknown = now & ~sum(bits)
+            texts = [name for bit, name in bits.items() if now & bit] + [f"undefined {unknown:#x}"] * bool(unknown)
+            row[f"{top}{field}.names"] = ", ".join(texts)
+            of_group = {"undefined": unknown, "raised": now & ~old, "cleared": old & ~now}
+            width = {"undefined": 8, "raised": 2 * size, "cleared": 2 * size}
+            row |= {f"{top}{group}.{way}": f"0x{value:0{width[way]}x}" for way, value in of_group.items() if value}
+        rows.append({name: text for name, text in row.items() if text})
+    return rows
 
 
 def test_public_names_and_types():
