@@ -438,12 +438,15 @@ def test_every_column_wherever_it_is_printed(name, arguments):
 
 
 @levels.by_version
-@pytest.mark.parametrize("name", ["serial/dump_document.yapp", "serial/document_uart_split.pcap"])
+@pytest.mark.parametrize("name", ["serial/dump_document.yapp", "serial/document_uart_split.pcap", "can/document_motor.pcap",
+                                  "can/unknown_id.pcap"])
 def test_protocols_are_counted_whatever_else_is_wanted(name):
-    """Packets of skipped bytes, and of bytes that wait, are YAPP's where a filter names fields of Taurus alone."""
-    counted = [re.search(r"\n +yapp +frames:(\d+)", tshark.run("-q", "-r", tshark.CAPTURES / name, "-z", "io,phs", *filters).stdout)[1]
+    """Packets of skipped bytes, and of bytes that wait, are YAPP's where a filter names fields of Taurus alone; Taurus' are those
+    with values.  Each counts once."""
+    counted = [re.findall(r"\n +(yapp|taurus) +frames:(\d+)", tshark.run("-q", "-r", tshark.CAPTURES / name, "-z", "io,phs", *filters).stdout)
                for filters in ((), ("-Y", "taurus || frame"))]
-    assert counted[0] == counted[1] != "0"
+    protocols = ["yapp"] if name == "can/unknown_id.pcap" else ["yapp", "taurus"]
+    assert counted[0] == counted[1] and [protocol for protocol, _ in counted[0]] == protocols
 
 
 @levels.by_version
@@ -468,12 +471,17 @@ def test_tree_of_a_reserved_count(folder, special):
 
 
 def test_what_an_unknown_id_is_like(folder):
-    """By its size; a display filter finds the ID."""
+    """By its size; a display filter finds the ID.  The first message of each says in Info which preference decodes it."""
     path, sizes = folder / "like.pcap", {"command": 7, "health": 17, "motor": 32}
     path.write_bytes(make.pcap(make.Source("".join(f"can0 [{0x123 + index:x} {bytes(size).hex()}]\n"
-                                                   for index, size in enumerate(sizes.values())))))
+                                                   for index, size in enumerate(sizes.values())) * 2)))
     rows = tshark.fields(path, [f"yapp.like.{name}" for name in sizes], "-o", "yapp.all_extended:TRUE")
-    assert [row for row in rows if any(row)] == [["0x00000123", "", ""], ["", "0x00000124", ""], ["", "", "0x00000125"]]
+    assert [row for row in rows if any(row)] == [["0x00000123", "", ""], ["", "0x00000124", ""], ["", "", "0x00000125"]] * 2
+    shown = tshark.run("-r", path, "-o", "yapp.all_extended:TRUE", "-o", 'gui.column.format:"Info","%i"', "-Y", "yapp.id.unknown").stdout
+    texts = [f"ID {0x123 + index:#x}  {size} bytes, the size of {model.MESSAGES[ident][1]}"
+             for index, (ident, size) in enumerate(((model.COMMAND, 7), (model.HEALTH, 17), (model.MOTOR, 32)))]
+    advice = [f': see the preference "{model.MESSAGES[ident][1]} message IDs"' for ident in (model.COMMAND, model.HEALTH, model.MOTOR)]
+    assert [line.strip().split("  [copy of")[0] for line in shown.splitlines()] == [*map(str.__add__, texts, advice), *texts]
 
 
 def test_rounded_values():

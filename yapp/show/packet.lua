@@ -163,6 +163,14 @@ local function show_columns(packet, texts, source, columns)
   if source and not packet.line.has_address then columns.src = source end
 end
 
+-- Return the first message of a packet that has values; nil for none.
+local function find_decoded(results)
+  for _, result in ipairs(results) do
+    local message = result.message
+    if message and message.raws then return message end
+  end
+end
+
 --- Show the contents of a packet.
 -- packet    see host.serial
 -- contents  of Reading:add_packet
@@ -170,7 +178,9 @@ end
 -- tvb       where its bytes are, if a tree is wanted
 function PacketView:show(packet, contents, wants, tvb, pinfo, tree)
   local texts, source, results = {}, nil, contents.results
-  if wants.names and not wants.tree then self.builder:add_protocol_names(tree, wants, true) end
+  if wants.names and not wants.tree then
+    self.builder:add_protocol_names(tree, wants, find_decoded(results))
+  end
   for i, result in ipairs(results) do
     local text = show_result(self, result, packet, tvb, wants, tree)
     source = source or result.message and result.frame.source.text

@@ -127,12 +127,12 @@ function Tree:wants(tree, pinfo, visited)
 end
 
 --- Add the names of the protocols to a tree in which no field of YAPP is wanted, for -z io,phs.
--- wants       of the tree
--- is_message  true if there is a message's name too
+-- wants    of the tree
+-- message  of reading.messages, or nil; if it has values, it has the name of Taurus, too
 -- COMPAT 4.0, 4.4: from 4.6 on `referenced` tells.
-function Tree:add_protocol_names(tree, wants, is_message)
+function Tree:add_protocol_names(tree, wants, message)
   add(tree, self.yapp)
-  if is_message and not wants.taurus then add(tree, self.taurus) end
+  if message and message.raws and not wants.taurus then add(tree, self.taurus) end
 end
 
 -- Items of YAPP's ---------------------------------------------------------------------------------
