@@ -201,16 +201,22 @@ def test_each_flag_and_each_reserved_count(folder, ident):
         for expert in experts:
             values.setdefault(expert, []).append("1")
         assert taurus(found[message["frame"]]) == values, message["payload"].hex()
-    flags = [name for name, kind in model.filters().items() if kind == "BOOLEAN" and name in wanted[0][0]]
-    tshark.assert_found(path, [(f"{name} == 1", [message["frame"] for message, (fields, _) in zip(source.messages, wanted)
-                                                 if fields[name] == "1"]) for name in flags])
-    rows = of_flags(ident, [fields for fields, _ in wanted])
+    if any(model.is_flags(kind) for _, _, kind in model.MESSAGES[ident][2]):
+        assert_flags(path, ident, [(message["frame"], fields) for message, (fields, _) in zip(source.messages, wanted)])
+
+
+def assert_flags(path, ident, messages):
+    """Filters for flags find these alone, and the other fields of flags show what follows from the flags.
+
+    messages  [(frame, what the fields of a message show)]"""
+    flags = [name for name, kind in model.filters().items() if kind == "BOOLEAN" and name in messages[0][1]]
+    tshark.assert_found(path, [(f"{name} == 1", [frame for frame, fields in messages if fields[name] == "1"]) for name in flags])
+    rows = of_flags(ident, [fields for _, fields in messages])
     names = sorted({name for row in rows for name in row})
-    assert {name.rpartition(".")[2] for name in names} >= ({"names", "raised", "cleared"} if flags else set())
-    if names:
-        shown_rows = tshark.fields(path, names, separator="|")
-        found = [dict(zip(names, shown_rows[message["frame"] - 1], strict=True)) for message in source.messages]
-        assert found == [{name: row.get(name, "") for name in names} for row in rows]
+    assert {name.rpartition(".")[2] for name in names} >= {"names", "raised", "cleared"}
+    shown_rows = tshark.fields(path, names, separator="|")
+    found = [dict(zip(names, shown_rows[frame - 1], strict=True)) for frame, _ in messages]
+    assert found == [{name: row.get(name, "") for name in names} for row in rows]
 
 
 def of_flags(ident, messages):

@@ -39,6 +39,22 @@ def test_an_error_in_a_frame_is_seen_where_filters_are_counted(load):
         tshark.assert_found(CAPTURE, [("frame.number > 3", [4, 5])], *load)
 
 
+def test_an_error_in_a_frame_is_seen_where_nothing_else_is_asked(load):
+    tshark.assert_no_lua_errors(CAPTURE)
+    with pytest.raises(AssertionError, match=r"frames \['3'\]"):
+        tshark.assert_no_lua_errors(CAPTURE, *load)
+
+
+def test_an_exit_code_and_an_empty_answer_are_seen(folder):
+    (folder / "empty.pcap").write_bytes(CAPTURE.read_bytes()[:24])
+    with pytest.raises(AssertionError, match="no_such"):
+        tshark.run("-r", folder / "no_such.pcap")
+    with pytest.raises(AssertionError, match="read no packet"):
+        tshark.fields(folder / "empty.pcap", ["frame.number"])
+    with pytest.raises(AssertionError, match="nothing to find"):
+        tshark.assert_found(CAPTURE, [])
+
+
 def test_an_error_at_load_is_seen(folder):
     (folder / "planted.lua").write_text("error('planted')")
     with pytest.raises(AssertionError, match="Lua:"):

@@ -142,6 +142,7 @@ def assert_found(capture, rows, *arguments):
     """Display filters (without commas) find their frames and no others; rows are (filter, numbers of frames).
 
     All in one run, which counts: the frames that a filter finds, and those that it finds of the ones it has to."""
+    assert rows, "nothing to find"
     asked = []
     for text, frames in rows:
         asked += [text, f"({text}) && ({' || '.join(f'frame.number == {number}' for number in frames) or 'frame.len < 0'})"]
