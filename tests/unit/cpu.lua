@@ -5,30 +5,41 @@ if not arg then return end -- run by Wireshark, see run.lua
 local M = {}
 
 local function cpu_seconds(call)
-  collectgarbage() -- what was made before is not collected in this call
   local start = os.clock()
   call()
   return os.clock() - start
 end
 
+local function cpu_seconds_without_garbage(call)
+  collectgarbage() -- what was made before is not collected in this call
+  return cpu_seconds(call)
+end
+
+local SPACES = (" "):rep(4000)
+local function search() return SPACES:find(" *x") end
+local least = cpu_seconds(search) -- what it took at best: a slower moment gives a call no less time
+
 --- Return whether a call costs an eighth of a pattern's search that is tried from each of 4,000 characters to the last.
 -- Three attempts, as a collection of garbage may fall into one.
 function M.is_quadratic(call)
-  local spaces = (" "):rep(4000)
+  if cpu_seconds(call) < math.max(0.001, least / 8) then return false end
   for _ = 1, 3 do
-    local seconds = cpu_seconds(call)
-    if seconds < 0.001 or seconds < cpu_seconds(function() return spaces:find(" *x") end) / 8 then return false end
+    local seconds = cpu_seconds_without_garbage(call)
+    local of_search = cpu_seconds(search)
+    least = math.min(least, of_search)
+    if seconds < math.max(0.001, of_search / 8) then return false end
   end
   return true
 end
+assert(M.is_quadratic(search), "cpu: the search itself is not seen as quadratic")
 
 --- Return whether a call costs less than 8 times as much at four times the size, where quadratic work costs 16 times.
 -- Ten attempts, as a loaded machine can make a single one look quadratic; work that is fails them all.
 -- call  function(size)
 function M.is_linear(call, size)
   for _ = 1, 10 do
-    local least = cpu_seconds(function() call(size) end)
-    if cpu_seconds(function() call(4 * size) end) < 8 * least then return true end
+    local once = cpu_seconds_without_garbage(function() call(size) end)
+    if cpu_seconds_without_garbage(function() call(4 * size) end) < 8 * once then return true end
   end
   return false
 end
