@@ -7,13 +7,15 @@
     mutate.py --each 5 --other             in each of the others: those that call Wireshark's API, extcap/ and tools/src
 
 A fault is another operator, another constant, a condition the other way round or a line left out; what does not compile is
-none.  The unit tests that load the module run, those that name it first, in Lua 5.4 and 5.2, in a copy of the tree; then
-those that SUITES names for the module, or for its folder if no unit test loads it.  A mutant that no test fails on is shown with its line before and after; one that cannot be told from the module stands in
-tests/equivalent_mutants.txt with the reason.
+none.  In a copy of the tree, until one fails, run the unit tests that load the module, those that name it first, in Lua 5.4,
+then in 5.2; then those that SUITES names for the module, or for its folder if no unit test loads it.  For a line of tools/src
+the tests run that reach it (tests/reach.py), the quickest first.  A mutant that no test fails on is shown with its line before
+and after; one that cannot be told from the module stands in tests/equivalent_mutants.txt with the reason.
 """
 import argparse
 import collections
 import concurrent.futures
+import json
 import math
 import os
 import pathlib
@@ -28,6 +30,7 @@ import sys
 import tempfile
 import time
 
+import reach
 import witnesses
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
@@ -58,12 +61,9 @@ SUITES = {
     "yapp/file/": ["tests/e2e/test_candump.py", "tests/e2e/test_dump.py", "tests/e2e/test_files.py"],
     "yapp/stat/": ["tests/e2e/test_statistics.py", "tests/e2e/test_gate.py"],
     "extcap/": ["tests/e2e/test_live.py"],
-    "tools/src/": ["tests/tools/test_read.py", "tests/tools/test_convert.py"],  # for those without a file of tests, see suite_of
-    **{f"tools/src/yapp_tables/{name}.py": [f"tests/tools/test_{test}.py" for test in tests.split()] for name, tests in {
-        "api": "read typing", "tables": "csv read", "writers": "convert", "mf4": "mf4_mcap", "mcap_file": "mf4_mcap", "delta": "dataset",
-        "tshark": "convert read", "cli": "complete convert", "sources": "convert", "html_table": "report", "limits": "report",
-        "matrix": "report", "multiples": "report", "pictures": "report", "flight": "report", "undecoded": "report"}.items()},
 }
+QUICK = 12  # tests that run in one process before the others
+LUAS = ("lua5.4", "lua5.2")
 ENDS = {"if": "then", "elseif": "then", "while": "do"}
 # A line that is no statement of its own, or without which a local variable is nil: the first test sees that.  A field that is
 # nil in a constructor documents itself: without it nothing changes.
@@ -109,6 +109,10 @@ def other_number(word):
     if re.search(r"^\d+[.]?\d*[eE]", word):
         return str(float(word) * 2)
     return str((float(word) if "." in word else int(word, 0)) + 1)
+
+
+def is_package(path):
+    return path.parts[:2] == ("tools", "src")
 
 
 def is_python(path):
@@ -184,10 +188,10 @@ def sample(path, each, seed):
     return chosen
 
 
-def passes(folder, test, most):
+def passes(folder, test, most, programs=LUAS):
     """Whether a file of tests passes in a copy of the tree, each Lua in so many CPU seconds."""
     limits = ["prlimit", f"--cpu={most}", f"--as={MEMORY}"]
-    for program in ("lua5.4", "lua5.2"):
+    for program in programs:
         run = subprocess.run([*limits, program, "tests/unit/run.lua", test], cwd=folder, stdout=subprocess.DEVNULL,
                              stderr=subprocess.DEVNULL, env={**os.environ, "YAPP_FIRST_FAILURE": "1"},
                              check=False, timeout=60 * most, **USER)
@@ -197,40 +201,53 @@ def passes(folder, test, most):
 
 
 def suite_of(path):
-    own = f"tests/tools/test_{path.stem}.py"
-    if str(path).startswith("tools/src/") and (ROOT / own).exists():
-        return [own]
     return SUITES[max((begin for begin in SUITES if str(path).startswith(begin)), key=len)]
 
 
 known = collections.defaultdict(witnesses.Witnesses)  # by module
 
 
+def environment_of(folder):
+    return {**os.environ, "YAPP_PLUGIN_ROOT": str(folder), "PYTHONPATH": str(folder / "tools/src"), "YAPP_TIMEOUT": "60"}
+
+
 def failed_test(folder, path, python, suite, most=600):
     """The first test of a suite that fails in a copy of the tree: a mutant may make it wait without end, and take all memory."""
-    command = ["prlimit", f"--as={2 * MEMORY}", python if str(path).startswith("tools/") else "/usr/bin/python3", "-m", "pytest"]
-    environment = {**os.environ, "YAPP_PLUGIN_ROOT": str(folder), "PYTHONPATH": str(folder / "tools/src"), "YAPP_TIMEOUT": "60"}
-    return witnesses.failed_test(suite, command, cwd=folder, timeout=most, env=environment, **USER)
+    command = ["prlimit", f"--as={2 * MEMORY}", python if is_package(path) else "/usr/bin/python3", "-m", "pytest"]
+    return witnesses.failed_test(suite, command, cwd=folder, timeout=most, env=environment_of(folder), **USER)
 
 
-def passes_suite(folder, path, python):
-    """Whether the tests of SUITES pass in a copy of the tree."""
-    return not known[path].failed_test([[file] for file in suite_of(path)], lambda suite: failed_test(folder, path, python, suite))
+def passes_suites(folder, path, python, suites):
+    """Whether suites pass in a copy of the tree: first the tests that failed before, unless suites are chosen for the line."""
+    def run(suite):
+        return failed_test(folder, path, python, suite)
+
+    return not (any(map(run, suites)) if is_package(path) else known[path].failed_test(suites, run))
 
 
-def survives(folder, path, mutant, tests, seconds, python, is_unit):
-    """Whether all tests pass with a mutant in a copy of the tree: each in the CPU seconds that it needs, and more."""
+def survives(folder, path, mutant, tests, seconds, python, suites):
+    """Whether all tests pass with a mutant in a copy of the tree: the unit tests in the CPU seconds that they need, and more,
+    then the suites."""
     whole = (folder / path).read_text()
     (folder / path).write_text(mutant)
     try:
-        if not tests:
-            return passes_suite(folder, path, python)
-        return (all(passes(folder, test, math.ceil(2 + 5 * seconds[test])) for test in tests) and
-                (is_unit or str(path) not in SUITES or passes_suite(folder, path, python)))
+        return (all(passes(folder, test, math.ceil(2 + 5 * seconds[test]), [program]) for program in LUAS for test in tests) and
+                passes_suites(folder, path, python, suites))
     except subprocess.TimeoutExpired:
         return False
     finally:
         (folder / path).write_text(whole)
+
+
+def reached_lines(folder, options):
+    """Which tests reach which lines of tools/src."""
+    if options.reach and options.reach.exists():
+        return json.loads(options.reach.read_text())
+    done = subprocess.run([options.python, "tests/reach.py"], cwd=folder, stdout=subprocess.PIPE, text=True, check=True,
+                          env=environment_of(folder), **USER)
+    if options.reach:
+        options.reach.write_text(done.stdout)
+    return json.loads(done.stdout)
 
 
 def copies(count, folder):
@@ -252,6 +269,7 @@ def main():
     parser.add_argument("--other", action="store_true", help="those that no unit test loads")
     parser.add_argument("--unit", action="store_true", help="by the unit tests alone")
     parser.add_argument("--python", default=sys.executable, help="that has what tests/tools needs")
+    parser.add_argument("--reach", type=pathlib.Path, help="what tests/reach.py printed; measured if it is not given")
     parser.add_argument("modules", nargs="*", type=pathlib.Path, help="all that need no Wireshark by default")
     options = parser.parse_args()
     if options.other and USER and subprocess.run([options.python, "-V"], capture_output=True, check=False, **USER).returncode:
@@ -271,16 +289,25 @@ def main():
         free = copies(options.jobs, pathlib.Path(folder))
         whole = free.get()
         modules = options.modules or (other_modules(loads) if options.other else loaded_modules(loads))
-        for test in (test for test in TESTS if not options.other and loads[test] & set(modules)):  # in a copy, where a file may be missing; what takes long may fail once
+        for test in (test for test in TESTS if loads[test] & set(modules)):  # in a copy, where a file may be missing; what takes long may fail once
             before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
             assert passes(whole, test, 600) or passes(whole, test, 600), f"{test} fails without a mutant"
             seconds[test] = (resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before) / 2
+        reached = reached_lines(whole, options) if any(map(is_package, modules)) else None
+
         free.put(whole)
 
+        def suites(path, line):
+            if is_package(path):
+                tests = reach.tests_of(reached, path, (ROOT / path).read_text(), line)
+                return [tests[:QUICK], tests[QUICK:]] if tests[QUICK:] else [tests] if tests else []
+            has_own = str(path) in SUITES or not tests_of(path)
+            return [[file] for file in suite_of(path)] if has_own and not options.unit else []
+
         def judge(path, line, before, after, mutant):
-            tests, copy = [] if options.other else tests_of(path), free.get()
+            copy = free.get()
             try:
-                return path, line, before, after, survives(copy, path, mutant, tests, seconds, options.python, options.unit)
+                return path, line, before, after, survives(copy, path, mutant, tests_of(path), seconds, options.python, suites(path, line))
             finally:
                 free.put(copy)
 

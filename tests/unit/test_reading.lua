@@ -329,7 +329,10 @@ function T.test_undissected_frames()
   report(words.can_id(0x323, 1, 0, 9), words.start(0x323, ("x"):rep(50))) -- no message of the catalogue has its size
   report(words.can_id(0x321, 0, 0, 9), ("x"):rep(8)) -- as long as no message
   report(words.can_id(0x321, 1, 0, 9), words.start(0x321, ("x"):rep(8))) -- it would be a single frame
-  lu.assertEquals(capture.events, { "undissected ID 0x321 @1", "undissected Command @2" })
+  report(words.can_id(0x324, 1, 3, 9), words.start(0x324, payload_of(MOTOR, 1))) -- no ID that is known, and a YAPP CTL
+  report(words.can_id(COMMAND, 1, 0, 9), words.start(COMMAND, ("x"):rep(8)))
+  report(words.can_id(COMMAND, 1, 0, 9), words.start(COMMAND, ("x"):rep(9)))
+  lu.assertEquals(capture.events, { "undissected ID 0x321 @1", "undissected Command @2", "undissected Command @9" })
 end
 
 -- Streams ------------------------------------------------------------------------------------------------------------
@@ -387,6 +390,18 @@ function T.test_a_serial_line()
     { "skipped line @1", "message Motor Data @1", "crc Motor Data @2" })
 end
 
+-- Of bytes at the end of a capture a revisit says so, the first visit cannot know.
+function T.test_bytes_that_the_capture_ends_before()
+  local capture = new_capture()
+  local function is_unfinished(bytes, with)
+    return visit_packet(capture, 0, bytes, with).is_unfinished
+  end
+  local first, last = MOTOR_FRAME .. MOTOR_FRAME:sub(1, 20), MOTOR_FRAME:sub(21) .. HEALTH_FRAME:sub(1, 20)
+  lu.assertEquals({ is_unfinished(first), is_unfinished(last) }, { false, false })
+  lu.assertEquals({ is_unfinished(first, { number = 1, visited = true }), is_unfinished(last, { number = 2, visited = true }) },
+    { false, true })
+end
+
 function T.test_datagrams_and_tcp()
   for _, kind in ipairs { lines.UDP, lines.TCP } do
     local capture = new_capture()
@@ -437,7 +452,8 @@ function T.test_skipped_bytes_of_a_dump()
   local line = capture.reading.lines:of(lines.UDP, "", 0, "", 0)
   local packet = { key = 7 * frame_key.PACKET, number = 7, time = 0, visited = false, bytes = "?????", length = 5,
     line = line, stream = line.key, is_bus_known = true }
-  lu.assertEquals(results_in_words(capture.reading:add_skipped(packet)), "skipped 5")
+  local contents = capture.reading:add_skipped(packet)
+  lu.assertEquals({ results_in_words(contents), contents.results[1].transfer.offset }, { "skipped 5", 0 })
   lu.assertEquals(capture.events, { "skipped line @7" })
 end
 
