@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Which tests of tests/tools run which lines of the Python package: a fault in a line needs no others.
 
-As a program, in the environment of the tests: runs them once with coverage, in processes that they start too, and prints
+    reach.py [OPTION OF PYTEST ...]    in the environment of the tests
+
+runs them once with coverage, in processes that they start too, and prints
 {"seconds": {test: seconds}, "lines": {module: {line: [test, ...]}}} as JSON.  A test that fails is left out.
 """
 import ast
@@ -37,7 +39,7 @@ def pytest_sessionfinish():
 '''
 
 
-def measure(top):
+def measure(top, options):
     """What the program prints, of the tests of this tree."""
     import coverage
 
@@ -49,7 +51,7 @@ def measure(top):
         paths = [str(folder), str(source)]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "COVERAGE_PROCESS_START": str(folder / "rc"),
                        "YAPP_SECONDS": str(folder / "seconds")}
-        subprocess.run([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "reach_plugin", "tests/tools"], cwd=top,
+        subprocess.run([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "reach_plugin", *options, "tests/tools"], cwd=top,
                        env=environment, stdout=sys.stderr, check=False)
         seconds = json.loads((folder / "seconds").read_text())
         data = coverage.CoverageData(basename=str(folder / "all"))
@@ -101,4 +103,4 @@ def tests_of(reach, path, text, line):
 
 
 if __name__ == "__main__":
-    json.dump(measure(pathlib.Path.cwd()), sys.stdout)
+    json.dump(measure(pathlib.Path.cwd(), sys.argv[1:]), sys.stdout)
