@@ -174,8 +174,8 @@ def line_at(text, place):
     return text[text.rfind("\n", 0, place) + 1:].split("\n")[0].strip()
 
 
-def sample(path, each, seed):
-    """So many mutants of a module that compile: [(number of the line, before, after, text)]."""
+def sample(path, each, seed, equivalent):
+    """So many mutants of a module that compile and are not listed: [(number of the line, before, after, text)]."""
     text, chosen = (ROOT / path).read_text(), []
     every = list(mutants(path, text))
     random.Random(f"{seed} {path}").shuffle(every)
@@ -183,8 +183,9 @@ def sample(path, each, seed):
         if len(chosen) == each:
             break
         mutant = text[:start] + new + text[end:]
-        if compiles(path, mutant):
-            chosen.append((text.count("\n", 0, start) + 1, line_at(text, start), line_at(mutant, start) or "(left out)", mutant))
+        lines = line_at(text, start), line_at(mutant, start) or "(left out)"
+        if (str(path), *lines) not in equivalent and compiles(path, mutant):
+            chosen.append((text.count("\n", 0, start) + 1, *lines, mutant))
     return chosen
 
 
@@ -307,23 +308,24 @@ def main():
         def judge(path, line, before, after, mutant):
             copy = free.get()
             try:
-                return path, line, before, after, survives(copy, path, mutant, tests_of(path), seconds, options.python, suites(path, line))
+                return line, before, after, survives(copy, path, mutant, tests_of(path), seconds, options.python, suites(path, line))
             finally:
                 free.put(copy)
 
-        running = [pool.submit(judge, path, *one) for path in modules
-                   for one in sample(path, options.each, options.seed) if (str(path), *one[1:3]) not in equivalent]
-        for one in running:
-            path, line, before, after, survived = one.result()
-            killed, every = score.get(path, (0, 0))
-            score[path] = killed + (not survived), every + 1
-            if survived:
-                print(f"{path}:{line}:\n  - {before}\n  + {after}", flush=True)
+        running = {path: [pool.submit(judge, path, *one) for one in sample(path, options.each, options.seed, equivalent)]
+                   for path in modules}
+        for path, of_path in running.items():
+            alive = 0
+            for one in of_path:
+                line, before, after, survived = one.result()
+                alive += survived
+                if survived:
+                    print(f"{path}:{line}:\n  - {before}\n  + {after}", flush=True)
+            score[path] = len(of_path) - alive, len(of_path)
+            print(f"{path}: {score[path][0]} of {score[path][1]} killed", flush=True)
         for path, one in known.items():  # a test that fails without a mutant kills none
             failed = one.known and failed_test(whole, path, options.python, one.known)
             assert not failed, f"{path}: {failed} fails without a mutant"
-    for path, (killed, every) in score.items():
-        print(f"{path}: {killed} of {every} killed")
     killed, every = map(sum, zip(*score.values()))
     print(f"mutate: seed {options.seed}, {killed} of {every} killed, {100 * killed / every:.1f} %, "
           f"{time.monotonic() - start:.0f} s")
