@@ -398,8 +398,8 @@ function T.test_bytes_that_the_capture_ends_before()
   end
   local first, last = MOTOR_FRAME .. MOTOR_FRAME:sub(1, 20), MOTOR_FRAME:sub(21) .. HEALTH_FRAME:sub(1, 20)
   lu.assertEquals({ is_unfinished(first), is_unfinished(last) }, { false, false })
-  lu.assertEquals({ is_unfinished(first, { number = 1, visited = true }), is_unfinished(last, { number = 2, visited = true }) },
-    { false, true })
+  lu.assertEquals({ is_unfinished(first, { number = 1, visited = true }),
+    is_unfinished(last, { number = 2, visited = true }) }, { false, true })
 end
 
 function T.test_datagrams_and_tcp()

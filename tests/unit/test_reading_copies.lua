@@ -152,9 +152,10 @@ end
 -- What another source sent before shows nothing, nor does the first message of one that comes later.
 function T.test_other_sources_that_do_not_advance()
   local sent, other, third = { id = 0, message = { every = 0.2 } }, {}, {}
-  lu.assertEquals(found { { 0, "m", other }, { 0.5, "n", other }, { 0.6, "a", sent }, { 0.6, "a", sent }, { 0.6, "a", sent } },
-    { "-", "-", "-", 3, 3 })
-  lu.assertEquals(found { { 0, "a", sent }, { 0, "a", sent }, { 0.01, "m", third }, { 0, "a", sent } }, { "-", 1, "-", 1 })
+  lu.assertEquals(found { { 0, "m", other }, { 0.5, "n", other }, { 0.6, "a", sent }, { 0.6, "a", sent },
+    { 0.6, "a", sent } }, { "-", "-", "-", 3, 3 })
+  lu.assertEquals(found { { 0, "a", sent }, { 0, "a", sent }, { 0.01, "m", third }, { 0, "a", sent } },
+    { "-", 1, "-", 1 })
 end
 
 return T
