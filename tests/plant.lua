@@ -278,7 +278,7 @@ end
 if kind == "file" or kind == "stamp" then
   on_set(handlers, "read_open", function(open, handler)
     return function(file, ...)
-      local text = file:read(200) or ""
+      local text = file:read(2000) or ""
       file:seek("set", 0)
       local is_open = open(file, ...)
       if is_open then carrier = names[handler] end
