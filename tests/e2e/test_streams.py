@@ -433,6 +433,12 @@ def test_situation(name):
             assert not problems, f"{passes}:\n" + "\n".join(problems)
 
 
+@pytest.mark.parametrize("events", [[("good", TWO)], [("bad", ONE)], []], ids=["others", "bad", "none"])
+def test_a_situation_that_is_not_so_is_seen(monkeypatch, events):
+    monkeypatch.setitem(SITUATIONS, f"planted {len(events)}", (SERIAL, [(ONE, events)]))
+    assert problems_of.__wrapped__((f"planted {len(events)}",), "one pass")
+
+
 def test_what_text2pcap_writes(folder):
     dump = "".join(f"0000 {data.hex(' ')}\n" for data in (b"> " + ONE, TWO))
     (folder / "dump.txt").write_text(dump)
