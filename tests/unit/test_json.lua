@@ -37,7 +37,7 @@ function T.test_a_file_that_could_not_be_written_for_a_moment()
     close = function() return true end,
   }
   for _ = 1, 3 do file:write("some text") end
-  lu.assertEquals(json.finish { file }, path .. ": No space left on device")
+  lu.assertEquals(json.close_files { file }, path .. ": No space left on device")
   os.remove(path)
 end
 

@@ -45,9 +45,9 @@ local function menu()
     return ("%s, run %d"):format(argument, #seen.runs), self.frames
   end
   package.loaded["yapp.stat.menu"] = nil
-  local show, note_packets = require("yapp.stat.menu").register(stat)
-  stat.read = note_packets
-  return show, stat, note_packets
+  local show, on_packets = require("yapp.stat.menu").register(stat)
+  stat.read = on_packets
+  return show, stat, on_packets
 end
 
 function T.tearDown()
@@ -147,18 +147,18 @@ end
 
 -- Once, so that the window does not scroll while somebody reads; not in what is copied.
 function T.test_a_window_says_how_old_it_is()
-  local show, stat, note_packets = menu()
+  local show, stat, on_packets = menu()
   show("yapp,events")
   local window = last(seen.windows)
-  note_packets()
+  on_packets()
   lu.assertEquals(window.text, "yapp,events, run 1") -- nothing has come
   stat.total = 11
-  note_packets()
+  on_packets()
   local said = "Packets have come since this was read at %d%d:%d%d:%d%d: press Refresh\n\n"
   lu.assertStrMatches(window.text, said .. "yapp,events, run 1")
   window.text = "as it was"
   stat.total = 12
-  note_packets()
+  on_packets()
   lu.assertEquals(window.text, "as it was")
   window.buttons.Copy()
   lu.assertEquals(seen.copied, "yapp,events, run 1")
@@ -167,7 +167,7 @@ function T.test_a_window_says_how_old_it_is()
   stat.total = 13
   window.close()
   stat.total = nil -- nobody asks for it
-  note_packets()
+  on_packets()
   lu.assertEquals(window.text, "yapp,events, run 2")
 end
 
@@ -175,13 +175,13 @@ end
 function T.test_a_window_says_that_it_reads()
   local show, stat = menu()
   local said = {}
-  function stat.run(_, _, note_progress)
+  function stat.run(_, _, on_progress)
     local window = last(seen.windows)
     said[#said + 1] = window.text
-    note_progress(7)
+    on_progress(7)
     said[#said + 1] = window.text
     if seen.is_closing then window.close() end
-    note_progress(9)
+    on_progress(9)
     return "the answer", {}
   end
   show("yapp,events")

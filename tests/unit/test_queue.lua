@@ -26,7 +26,7 @@ end
 -- A statistic that notes the raw values of what it gets, which are names here.
 local function notes(code, text)
   local self = { got = {} }
-  function self.event(_, event) self.got[#self.got + 1] = event.raws end
+  function self.add_event(_, event) self.got[#self.got + 1] = event.raws end
   function self.finish(_, ending)
     self.last = ending.rel
     return code, text
@@ -36,7 +36,7 @@ end
 
 local function event_of(frame, name, kind, values)
   local m = { seq = 0, raws = name }
-  return kinds.event(kind or "message", frame, frame, SOURCE, values, m)
+  return kinds.new_event(kind or "message", frame, frame, SOURCE, values, m)
 end
 
 local function offer(queue, frame, name, values, visited)
@@ -62,7 +62,7 @@ function T.test_stamps_of_several_recorders()
       for k, source in ipairs(sources) do
         local stamp = i * 0.1 + k * 0.01 - behind[k]
         packet(stamp)
-        queue:offer(kinds.event("message", number + 1, stamp, source, nil, { payload = "a" }), false)
+        queue:offer(kinds.new_event("message", number + 1, stamp, source, nil, { payload = "a" }), false)
         packet(stamp)
       end
       packet(i * 0.1 + 0.05 - behind[1])
@@ -122,10 +122,10 @@ function T.test_messages_that_do_not_wait()
   one.wants_messages_only = true
   add(queue, one, nil, { table_only = true })
   offer(queue, 1, "a")
-  lu.assertTrue(queue:go_direct())
+  lu.assertTrue(queue:begin_direct())
   local compare = new_queue()
   add(compare, { wants_messages_only = true })
-  lu.assertFalse(compare:go_direct()) -- its spreads need the steps of the capture's clock
+  lu.assertFalse(compare:begin_direct()) -- its spreads need the steps of the capture's clock
   queue:packet(1, 1)
   offer(queue, 2, "b")
   offer(queue, 2, "c", { anomaly = {}, shown = {} })
@@ -137,10 +137,10 @@ function T.test_messages_that_do_not_wait()
   local other = notes()
   other.wants_messages_only = true
   add(queue, other, "filter")
-  lu.assertFalse(queue:go_direct())
+  lu.assertFalse(queue:begin_direct())
   queue = new_queue()
   add(queue, notes())
-  lu.assertFalse(queue:go_direct())
+  lu.assertFalse(queue:begin_direct())
 end
 
 -- What is lost is sure at the end only; a lost message counts once, at the first frame that shows it.
@@ -273,13 +273,13 @@ end
 function T.test_exact_times()
   local queue = new_queue()
   local function time(rel) return { queue:clock(rel) } end
-  queue:begins(1700000000, 999999999, 0)
+  queue:set_begin(1700000000, 999999999, 0)
   lu.assertEquals(time(0), { 1700000000, 999999999 })
   lu.assertEquals(time(0.000000001), { 1700000001, 0 })
   lu.assertEquals(time(86400.123456789), { 1700086401, 123456788 })
   lu.assertEquals(time(4194302.999999998), { 1704194303, 999999997 }) -- 48 days
   lu.assertEquals(time(-2), { 1699999998, 999999999 }) -- an earlier packet behind a later one
-  queue:begins(1700000000, 5, 2.000000001) -- the first packet that a read filter left
+  queue:set_begin(1700000000, 5, 2.000000001) -- the first packet that a read filter left
   lu.assertEquals(time(2.000000001), { 1700000000, 5 })
   lu.assertEquals(time(0), { 1699999998, 4 })
   queue:reset() -- packets may have no time: then it is that since the first one

@@ -193,10 +193,10 @@ end
 
 function T.test_an_address_reads_back()
   for _, bus in ipairs { "can0", "2", "a,b", "a=b", 'the "left"', "left bus", "vcan/0", '"' } do
-    local s, problems = parse(sources.address(bus, 0x210) .. "=motor:x")
+    local s, problems = parse(sources.address_text(bus, 0x210) .. "=motor:x")
     lu.assertEquals({ problems, s:name(bus, 0x210), s:name("other", 0x210) or "-" }, { {}, "x", "-" })
   end
-  lu.assertEquals({ sources.address(nil, 0x7FF), sources.address('a,"b"', 1) }, { "0x7ff", '"a,""b"""/0x1' })
+  lu.assertEquals({ sources.address_text(nil, 0x7FF), sources.address_text('a,"b"', 1) }, { "0x7ff", '"a,""b"""/0x1' })
 end
 
 function T.test_several_ids_of_which_one_is_known_or_wrong()
@@ -239,7 +239,7 @@ end
 function T.test_the_address_of_each_kind_of_bus()
   for _, bus in ipairs { "can0", "USB, left", "192.168.1.12:40000", "192.168.1.10", "[fe80::1]:14550", "fe80::1",
     "ttyS0#rx", "usb1.6.1#tx", "8", 'a "b"' } do
-    local read, problems = sources.parse(sources.address(bus, 0x210) .. "=left", { by_name = {} })
+    local read, problems = sources.parse(sources.address_text(bus, 0x210) .. "=left", { by_name = {} })
     lu.assertEquals(problems, {}, bus)
     lu.assertEquals(read:name(bus, 0x210), "left", bus)
     lu.assertTrue(read:has_part(bus, 0x210), bus)

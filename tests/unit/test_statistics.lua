@@ -53,7 +53,7 @@ local function record(frame, rel, with)
   if with.fits ~= false then m.raws = source.message.read(content) end
   local values = with.values or { change = with.change, invalid = with.invalid, undecoded = with.undecoded,
     is_unreliable = with.is_unreliable, size = (with.fits == false or with.undecoded) and #content or nil }
-  return kinds_of.event(with.kind or "message", frame, rel, source, values, m)
+  return kinds_of.new_event(with.kind or "message", frame, rel, source, values, m)
 end
 
 local function lost(frame, rel, what, source)
@@ -99,7 +99,7 @@ local function run(arguments, records, with)
   local settings = settings_of(with)
   local printed, queue, matched = {}, queue_of.new(settings, with.hint), {}
   for _, argument in ipairs(arguments) do
-    local options = options_of.read("yapp," .. argument, settings.catalogue)
+    local options = options_of.parse("yapp," .. argument, settings.catalogue)
     if not argument:find("^check") then lu.assertEquals(options.problems, {}) end
     local context = { out = function(text) printed[#printed + 1] = text end, settings = settings,
       queue = queue, frames = with.frames, make_folder = with.make_folder,
@@ -109,7 +109,7 @@ local function run(arguments, records, with)
     options.filter = with.matches
     matched = queue:add(statistic, options).matched
   end
-  queue:begins(with.epoch or 1700000000, 5, 0)
+  queue:set_begin(with.epoch or 1700000000, 5, 0)
   local function lacks_clock() return with.lacks_clock end
   add_faults(records)
   for _, one in ipairs(records) do
@@ -1052,7 +1052,7 @@ function T.test_a_preference_is_safe_to_paste()
     local shell = assert(io.popen("printf %s " .. option))
     local text = shell:read("*a")
     shell:close()
-    local bus = sources_of.address(name, 0x300)
+    local bus = sources_of.address_text(name, 0x300)
     lu.assertEquals(text, ("yapp.sources:%s=motor:,other/0x300=health:"):format(bus))
   end
 end
@@ -1263,7 +1263,7 @@ function T.test_names_cannot_collide()
       { name, "uint8", "Own" } } }
     lu.assertEquals(problems, {})
     local function rule_of(text)
-      local options = options_of.read("yapp,check," .. text, catalogue)
+      local options = options_of.parse("yapp,check," .. text, catalogue)
       return options.rules[1], options.problems[1]
     end
     local is_measure = input.find(measures_of.OF_MESSAGE, name) ~= nil
@@ -1279,7 +1279,7 @@ function T.test_names_cannot_collide()
     if kinds_of.BY_NAME[name] and not kinds_of.BY_NAME[name].counts_as then
       lu.assertEquals(rule_of(name .. "=0").kind.name, name) -- the kind of event, whatever messages are called
     end
-    lu.assertEquals(options_of.read("yapp,csv,-," .. name, catalogue).chosen, catalogue.messages[1])
+    lu.assertEquals(options_of.parse("yapp,csv,-," .. name, catalogue).chosen, catalogue.messages[1])
     local taken = {}
     for _, column in ipairs(text_of.columns(catalogue.messages[1])) do
       lu.assertNil(taken[column.name])
@@ -1504,7 +1504,7 @@ end
 -- Options -------------------------------------------------------------------------------------------------------
 
 function T.test_options()
-  local function read_options(text) return options_of.read("yapp," .. text, CATALOGUE) end
+  local function read_options(text) return options_of.parse("yapp," .. text, CATALOGUE) end
   local options = read_options("summary,json,filter=a == 1, b,filter=c")
   lu.assertEquals({ options.what, options.json, options.filter, options.problems },
     { "summary", true, "a == 1, b,filter=c", {} })
@@ -1520,7 +1520,7 @@ end
 
 -- A file or a source may be called as the help calls them.
 function T.test_options_that_look_like_their_help()
-  local options = options_of.read("yapp,check,junit=FILE,source=NAME,fault=0,rules=FILE", CATALOGUE)
+  local options = options_of.parse("yapp,check,junit=FILE,source=NAME,fault=0,rules=FILE", CATALOGUE)
   lu.assertEquals({ options.junit, options.rules[1].source }, { "FILE", "NAME" })
   lu.assertEquals(options.problems, { "rules=FILE: FILE: No such file or directory" })
 end
@@ -1569,9 +1569,9 @@ function T.test_wrong_options_are_named()
     ["check,crc=1 0"] = 'crc=1 0: "1 0" is not a number of messages',
   }
   for text, problem in pairs(expected) do
-    lu.assertEquals(options_of.read("yapp," .. text, CATALOGUE).problems[1], problem)
+    lu.assertEquals(options_of.parse("yapp," .. text, CATALOGUE).problems[1], problem)
   end
-  lu.assertStrContains(options_of.read("yapp,check,fault", CATALOGUE).problems[1], "a rule is one of fault=N")
+  lu.assertStrContains(options_of.parse("yapp,check,fault", CATALOGUE).problems[1], "a rule is one of fault=N")
 end
 
 -- A line of many blanks takes as long as one of other bytes: not 400,000 steps for each blank.
@@ -1582,7 +1582,7 @@ function T.test_a_file_of_blanks_is_read_at_once()
     file:write(line)
     file:close()
     local before = os.clock()
-    local options = options_of.read("yapp,check,crc=0,rules=" .. path, CATALOGUE)
+    local options = options_of.parse("yapp,check,crc=0,rules=" .. path, CATALOGUE)
     lu.assertTrue(#options.rules + #options.problems >= 2)
     lu.assertTrue(os.clock() - before < 5)
   end
@@ -1597,7 +1597,7 @@ function T.test_a_file_of_rules()
       local file = assert(io.open(path, "wb"))
       file:write(text)
       file:close()
-      local options, texts = options_of.read(("yapp,check,rules=%s%s"):format(path, more or ""), CATALOGUE), {}
+      local options, texts = options_of.parse(("yapp,check,rules=%s%s"):format(path, more or ""), CATALOGUE), {}
       for i, rule in ipairs(options.rules) do texts[i] = (rule.source and rule.source .. ": " or "") .. rule.text end
       return table.concat(texts, " "), options.problems
     end

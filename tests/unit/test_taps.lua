@@ -30,7 +30,7 @@ local function new_queue(settings, hint)
     self.packets = self.packets + 1
     table.insert(seen.packets, { number, rel, lacks_clock() })
   end
-  function queue.begins(_, ...) seen.begins = { ... } end
+  function queue.set_begin(_, ...) seen.begins = { ... } end
   function queue.reset() seen.resets = seen.resets + 1 end
   function queue.add(_, statistic, options)
     seen.added = { statistic, options }
@@ -38,7 +38,7 @@ local function new_queue(settings, hint)
     return { matched = seen.matched }
   end
   function queue.stop() seen.has_stopped = true end
-  function queue.go_direct() return wireshark.is_direct end
+  function queue.begin_direct() return wireshark.is_direct end
   function queue.end_packets() seen.is_over = true end
   function queue.finish(_, capture)
     lu.assertTrue(seen.is_over)
@@ -374,7 +374,7 @@ end
 function T.test_the_end_of_trees()
   wireshark.is_direct = true
   tshark("yapp,faults")
-  lu.assertEquals({ count_of(seen.builder, "only_pass"), count_of(seen.deferral, "allow") }, { 1, 1 })
+  lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.deferral, "allow") }, { 1, 1 })
   lu.assertEquals(count_of(seen.intake, "remove_later"), 1)
   local clocks = 0
   for tap in pairs(seen.taps) do if tap.filter then clocks = clocks + 1 end end
@@ -383,12 +383,12 @@ end
 
 function T.test_trees_that_are_built_anyway()
   tshark("yapp,faults,filter=yapp")
-  lu.assertEquals({ count_of(seen.builder, "only_pass"), count_of(seen.deferral, "allow") }, { 1, 0 })
+  lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.deferral, "allow") }, { 1, 0 })
   lu.assertEquals(count_of(seen.intake, "remove_later"), 0)
   T.setUp()
   wireshark.is_second_pass = true
   tshark("yapp,faults")
-  lu.assertEquals({ count_of(seen.builder, "only_pass"), count_of(seen.deferral, "allow") }, { 0, 0 })
+  lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.deferral, "allow") }, { 0, 0 })
 end
 
 -- A header waits for the tap of its packet; if the packets have none any more, for one that is made once.

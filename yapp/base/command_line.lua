@@ -8,7 +8,7 @@ for letter in ("aAbBcCdeEfFHijJkKmMNoOrRsStTuUwWXyYz"):gmatch(".") do HAS_VALUE[
 
 -- Note the letters of a word such as -qYyapp.
 -- returns  the letter whose value is the next word; nil if the word is complete
-local function read_letters(found, letters)
+local function parse_letters(found, letters)
   for i = 1, #letters do
     local letter = letters:sub(i, i)
     local rest = letters:sub(i + 1)
@@ -31,7 +31,7 @@ function M.options(text)
     elseif name then
       found[name] = value
     elseif word:find("^%-.") then
-      open = read_letters(found, word:sub(2))
+      open = parse_letters(found, word:sub(2))
     end
   end
   return found

@@ -136,7 +136,7 @@ function M.row(row, what, i, title_index, options)
 end
 
 --- Return the first of many problems, and how many there are.
-function M.few(problems)
+function M.first_of(problems)
   local few = {}
   for i = 1, math.min(#problems, MAX_PROBLEMS) do
     few[i] = problems[i]

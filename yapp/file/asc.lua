@@ -33,7 +33,7 @@ local HALVES = { a = 0, p = 12 } -- of a day
 -- Return a date, the recorder's local time, in microseconds since 1970; nil for another text.
 --   Tue Nov 14 10:13:20.001 pm 2023
 -- python-can writes 1 ms as ".1".
-local function read_date(text_of_date)
+local function parse_date(text_of_date)
   local words = text_of_date:sub(1, MAX_DATE):lower():gsub("%s+", " ")
   local date, month, milliseconds, half = {}
   month, date.day, date.hour, date.min, date.sec, milliseconds, half, date.year = words:match(DATE)
@@ -46,15 +46,15 @@ end
 
 -- Return the time in front of a line, "-12.000123", in microseconds, and the text behind it; nil
 -- without.
-local function read_stamp(line)
+local function parse_stamp(line)
   local sign, whole, fraction, rest = line:match("^%s*(%-?)(%d+)%f[%D][.,]?(%d*)%s+(.*)$")
   if not rest or #whole > 10 then return nil end
   local time = whole * SECOND + tonumber((fraction .. "000000"):sub(1, 6))
   return sign == "-" and -time or time, rest
 end
 
--- Return the nanoseconds, 0 to 999, that read_stamp leaves out.
-local function read_rest(line)
+-- Return the nanoseconds, 0 to 999, that parse_stamp leaves out.
+local function parse_rest(line)
   local digits = line:match("^%s*%d+[.,]%d%d%d%d%d%d(%d%d?%d?)%d*%s")
   return digits and tonumber((digits .. "00"):sub(1, 3)) or 0
 end
@@ -90,7 +90,7 @@ local function reason_of(line, rest)
 end
 
 -- Return the id in "8404000x", with SocketCAN's flag of an extended one; nil for another text.
-local function read_id(id, base)
+local function parse_id(id, base)
   local digits, extended = id:match("^(%x+)([xX]?)$")
   local value = digits and #digits <= 10 and tonumber(digits, base)
   if not value then return nil end
@@ -105,14 +105,14 @@ for _, base in ipairs { 10, 16 } do
 end
 
 -- Fill in "d 8 FD 7F ...", "r 8": a length of 9 to 15 means 8.
-local function read_classic(record, rest, base)
+local function parse_classic(record, rest, base)
   local kind, code, data = rest:match("^([dDrR])%s*(%x?)%s*(.*)$")
   record.length = math.min(tonumber(code or "", 16) or 0, 8)
   if kind == "r" or kind == "R" then
     record.id = record.id + text.REMOTE
     record.data = ""
   elseif kind and code ~= "" then
-    record.data = text.read_bytes(data, record.length, BYTE, BYTES[base])
+    record.data = text.parse_bytes(data, record.length, BYTE, BYTES[base])
   end
 end
 
@@ -120,13 +120,13 @@ end
 local FLEXIBLE = "([01])%s+([01])%s+%x%d?%s+(%d+)(.*)$"
 
 -- Fill in a CAN FD frame, with or without a name in front.
-local function read_flexible(record, rest, base)
+local function parse_flexible(record, rest, base)
   local brs, esi, length, data = rest:match("^" .. FLEXIBLE)
   if not brs then brs, esi, length, data = rest:match("^%S+%s+" .. FLEXIBLE) end
   record.length = tonumber(length)
   if not length or record.length > 64 then return end
   local stop
-  record.data, stop = text.read_bytes(data, record.length, BYTE, BYTES[base])
+  record.data, stop = text.parse_bytes(data, record.length, BYTE, BYTES[base])
   local flags = tonumber(data:match("^%s*%d+%s+%d+%s+(%x+)", stop) or "1000", 16)
   if flags % 0x2000 >= 0x1000 then
     record.fd = true
@@ -137,8 +137,8 @@ end
 -- By the word in front of the channel: the function that reads the text behind the id; the pattern
 -- of id and direction, and whether the direction is in front.
 local FORMS = {
-  [""] = { read = read_classic, pattern = "^(%w+)%s+([RrTt])[Xx]%s+(.*)$" },
-  CANFD = { read = read_flexible, pattern = "^([RrTt])[Xx]%s+(%w+)%s+(.*)$", is_turned = true },
+  [""] = { read = parse_classic, pattern = "^(%w+)%s+([RrTt])[Xx]%s+(.*)$" },
+  CANFD = { read = parse_flexible, pattern = "^([RrTt])[Xx]%s+(%w+)%s+(.*)$", is_turned = true },
 }
 
 --- Read one line.
@@ -148,7 +148,7 @@ local FORMS = {
 --          raw_dlc = 0, data }, or nil for a line that is no frame; the time in front of the line
 --          in microseconds, or nil; and a reason if the line was not understood
 function M.parse(line, base)
-  local stamp, rest = read_stamp(line)
+  local stamp, rest = parse_stamp(line)
   if not stamp then return nil, nil, reason_of(line) end
   local kind, channel, behind = rest:match("^(%a*)%s*(%d%d?%d?)%s+(%S.*)$")
   local form = FORMS[(kind or "none"):upper()]
@@ -163,7 +163,7 @@ function M.parse(line, base)
   local id, direction, data = behind:match(form.pattern)
   if form.is_turned then id, direction = direction, id end
   if not id then return nil, stamp, reason_of(line, rest) end
-  record.id = read_id(id, base)
+  record.id = parse_id(id, base)
   if not record.id then return nil, stamp, ID end
   record.sent = direction == "T" or direction == "t"
   form.read(record, data, base)
@@ -185,7 +185,7 @@ local NO_DATE = "no such date: times count from the date before, or from 0. Corr
 local function set_date(log, line)
   for name, pattern in pairs(DATES) do
     local written = line:match(pattern)
-    local date = written and read_date(written)
+    local date = written and parse_date(written)
     if date then log[name] = date elseif written then log:skip(line, NO_DATE) end
   end
 end
@@ -199,7 +199,7 @@ local function set_clock(log, line, stamp)
     log.start, log.began = is_since_date and date or log.began, nil
   end
   if log.is_relative then
-    log.rest = log.rest + read_rest(line)
+    log.rest = log.rest + parse_rest(line)
     stamp = log.sum + stamp + math.floor(log.rest / 1000)
     log.rest = log.rest % 1000
   end
@@ -210,7 +210,7 @@ local function set_clock(log, line, stamp)
 end
 
 -- Return the frame in a line, as text.open says.
-local function read_record(log, line, offset)
+local function parse_record(log, line, offset)
   local record, stamp, why = M.parse(line, log.base)
   if not offset then return record end
   if why then log:lose(line, why) end
@@ -249,13 +249,13 @@ end
 
 -- Return whether lines begin as ASC does, with a date, a base, a comment or a time; and their
 -- words about the base, "hex" and "timestamps relative", or nil.
-local function read_head(lines)
+local function parse_head(lines)
   local is_asc, base, rest
   for line in lines:gmatch("[^\r\n]+") do
     local word, value, more = line:match("^%s*(%a+)%f[%s]%s*(%S*)(.*)$")
     if word == "base" then base, rest = value, more end
     if is_asc == nil and line:find("%S") and not line:find("^%s*//") then
-      is_asc = word == "date" or word == "base" or read_stamp(line) ~= nil
+      is_asc = word == "date" or word == "base" or parse_stamp(line) ~= nil
     end
   end
   return is_asc, base, rest
@@ -274,7 +274,7 @@ end
 -- needs more frames than other lines.
 local function recognise(head)
   local lines = (#head < HEAD and head or head:match("^.*\n") or ""):gsub("^\239\187\191", "")
-  local is_asc, said, rest = read_head(lines)
+  local is_asc, said, rest = parse_head(lines)
   if not is_asc or said and not BASES[said] then return nil end
   local found = said and survey(lines, BASES[said]) or survey_both(lines)
   found.is_relative = (rest or ""):find("^%s*timestamps%s+relative") ~= nil
@@ -291,7 +291,7 @@ function M.open(file, report)
   local head = file:read(HEAD) or ""
   local log = recognise(head)
   if not log then return nil end
-  log.record, log.per_second = read_record, SECOND
+  log.record, log.per_second = parse_record, SECOND
   log.date = nil -- of the file
   log.began = nil -- the date of a block until its first stamp comes
   log.start = nil -- the time that stamps count from, if not from the date

@@ -3,7 +3,7 @@
 -- as packets.  Pure Lua.
 --
 -- A line, after can-utils (lib.c, candump.c), has the form LOG or SCREEN behind the CAN id;
--- read_head reads the text before it.  A line without a frame has one of the forms OTHERS.  A line
+-- parse_head reads the text before it.  A line without a frame has one of the forms OTHERS.  A line
 -- pasted from a document has these forms, too.
 local memo = require "yapp.base.memo"
 local text = require "yapp.file.text"
@@ -37,7 +37,7 @@ local OTHERS = {
 
 -- Return the id with SocketCAN's flags for 3 (standard) or 8 (extended, or error) hex digits, or
 -- nil.
-local function read_id(digits)
+local function parse_id(digits)
   local id = tonumber(digits, 16)
   if #digits == 3 and id < 0x800 then return id end
   if #digits ~= 8 or id >= 2 * text.ERROR then return nil end
@@ -49,7 +49,7 @@ end
 local latest, latest_seconds = "", nil -- date: many frames are of one second
 
 -- Return the seconds since 1970 of a date, local time as Wireshark shows it; nil for another text.
-local function read_date(date)
+local function parse_date(date)
   if date == latest then return latest_seconds end
   local parts = {}
   parts.year, parts.month, parts.day, parts.hour, parts.min, parts.sec =
@@ -60,11 +60,11 @@ end
 
 -- Fill in the time in the parentheses, or return why not.  An absolute time has ten digits at
 -- least: candump pads it.  Old versions of asc2log write "1.1000000" for two seconds.
-local function read_stamp(record, stamp)
+local function parse_stamp(record, stamp)
   local whole, fraction = stamp:match("^%f[%d]([%d%-: ]*%d)%.(%d+)$")
   if not whole then return TIME end
   record.is_date = #whole > 12
-  local read = record.is_date and read_date or tonumber
+  local read = record.is_date and parse_date or tonumber
   record.seconds = read(whole)
   record.nanoseconds = tonumber((fraction .. "00000000"):sub(1, 9))
   record.is_relative = #whole < 10
@@ -90,7 +90,7 @@ local FD_LENGTHS = {
 
 -- Fill in the data that a log has behind "#": ##<flags><data> of CAN FD, R<length>_<DLC>,
 -- <data>_<DLC>.  Some converters write CAN FD behind one "#", without flags.
-local function read_log(record, data, way, stop, line)
+local function parse_log(record, data, way, stop, line)
   local has_more = stop <= #line
   if has_more then record.note = BEHIND end
   record.sent = way == "T" and not has_more
@@ -113,7 +113,7 @@ end
 -- Fill in the data that the screen has behind the id: [8] classic, [08] CAN FD, {E} classic with
 -- the raw DLC (-8).  Between the bytes is a blank, or with -S, which turns them around, a "`".
 -- Behind them is nothing, ERRORFRAME, or in quotes the bytes as ASCII.
-local function read_screen(record, open, digits, data)
+local function parse_screen(record, open, digits, data)
   local is_raw = open == "{"
   local length = tonumber(digits, is_raw and 16 or 10)
   if not length then return DATA end
@@ -124,7 +124,7 @@ local function read_screen(record, open, digits, data)
   record.fd = #digits == 2
   record.length = length
   if data:find("^%s+remote request%s*$") then return fill_remote(record, length) end
-  local bytes, stop = text.read_bytes(data, length, "^[%s`]+(%x+)()", text.BYTES)
+  local bytes, stop = text.parse_bytes(data, length, "^[%s`]+(%x+)()", text.BYTES)
   if not bytes or not data:find("^%s*$", stop) and not data:find("^%s+['`E]", stop) then
     return DATA
   end
@@ -141,7 +141,7 @@ local SCREEN = "^%s+([%[{])(%x%x?)[%]}](.*)$"
 
 -- Return the values in front of an id: the time, the bus, with -x the direction and the flags of
 -- CAN FD; then the id and the index behind it.  Each may be nil.
-local function read_head(line)
+local function parse_head(line)
   local stamp, first = match(line, "^%s*%(([^()]+)%)%s+()")
   local bus, second = match(line, "^%s*(%S+)%s+()", first)
   if not bus then return nil end
@@ -154,20 +154,20 @@ end
 -- Fill in time and data, or return why not.
 local function fill(record, stamp, line, read, a, b, c)
   if not record.id then return ID end
-  local why = stamp and read_stamp(record, stamp) or read(record, a, b, c, line)
+  local why = stamp and parse_stamp(record, stamp) or read(record, a, b, c, line)
   local max_length = record.fd and 64 or 8
   return why or record.length > max_length and DATA or nil
 end
 
 -- Return the frame in a line, or nil and why there is none.
 local function frame_of(line)
-  local stamp, bus, sent, flags, id, behind = read_head(line)
-  local read, a, b, c = read_screen, match(line, SCREEN, behind)
+  local stamp, bus, sent, flags, id, behind = parse_head(line)
+  local read, a, b, c = parse_screen, match(line, SCREEN, behind)
   -- A log line without a time is of another program.
-  if stamp and not a then read, a, b, c = read_log, match(line, LOG, behind) end
+  if stamp and not a then read, a, b, c = parse_log, match(line, LOG, behind) end
   if not (id and a) then return nil, UNKNOWN end
   local record = {
-    bus = bus, id = read_id(id), fd = false, sent = sent, flags = flags, raw_dlc = 0,
+    bus = bus, id = parse_id(id), fd = false, sent = sent, flags = flags, raw_dlc = 0,
     is_relative = false, is_short = false,
   }
   local why = fill(record, stamp, line, read, a, b, c)
@@ -184,7 +184,7 @@ for letter, digit in
 end
 
 -- Return the line with such letters as the digits that they stand for.
-local function repaired(line)
+local function repair(line)
   line = line:gsub("[\194\206\208][\128-\191]", LOOK_ALIKES)
   line = line:gsub("%$\\odot \\odot%$", "00")
   return (line:gsub("(%x)O%f[%s\0]", "%10"))
@@ -202,7 +202,7 @@ function M.parse(line)
   line = line:gsub("^\239\187\191", ""):gsub("\27%[[%d;]*m", "")
   local record, why = frame_of(line)
   if record then return record end
-  local readable = repaired(line)
+  local readable = repair(line)
   record = readable ~= line and frame_of(readable)
   if record then
     record.note = REPAIRED
@@ -336,7 +336,7 @@ end
 -- known.
 -- returns  the text read from the start of the file, which is right behind it; nil if the whole
 --          file is plain
-local function text_that_needs_us(file, head, is_plain)
+local function find_unusual_text(file, head, is_plain)
   local all, size = head, #head
   local lines, rest = whole_lines(head, false)
   while is_plain(lines) and #rest <= HEAD do
@@ -365,7 +365,7 @@ local function add_bus(log, name)
   log.taken[number] = true
   local shown = utf8.name(name)
   local heads = memo(function(digits)
-    local id = read_id(digits)
+    local id = parse_id(digits)
     return id and text.head(number, { id = id })
   end)
   log.buses[name] = { number = number, name = shown, heads = heads }
@@ -376,7 +376,7 @@ end
 local LIKE_FRAMES = { "^%s*%([%d-]", "%x#", "%[%x+%]%s", "{%x}%s" }
 
 -- Account for a line without a frame: note the packets that candump says it lost.
-local function add_drop(log, line, why, is_harmless)
+local function add_other_line(log, line, why, is_harmless)
   local count, bus = line:match("^DROPCOUNT: dropped (%d+)[^']*'?([^',]*)")
   if not count then
     if is_harmless then return log:skip(line, why, true) end
@@ -394,7 +394,7 @@ local HOUR = 3600 -- seconds
 -- Local times (candump -t A) go back by an hour when summer time ends.  Let the time go on: add an
 -- hour, until the reader's own time zone does so, too, if it has the same summer time.
 --   02:59:59, 02:00:00, 02:30:00: the last two are 03:00:00 and 03:30:00
-local function go_on_over_hour(log, record, offset)
+local function shift_over_hour(log, record, offset)
   local step = record.seconds - (log.latest_date or record.seconds)
   log.latest_date = record.seconds
   if step >= -HOUR and step < -HOUR / 2 then
@@ -406,17 +406,17 @@ local function go_on_over_hour(log, record, offset)
 end
 
 -- Return the frame in a line, as text.open says.
-local function read_record(log, line, offset)
+local function parse_record(log, line, offset)
   local record, why, is_harmless = M.parse(line)
   if not offset then return record end
-  if why then add_drop(log, line, why, is_harmless) end
+  if why then add_other_line(log, line, why, is_harmless) end
   if not record then return nil end
   if not log.buses[record.bus] then add_bus(log, record.bus) end
   if log.deltas then
     log.clock = log.clock + relative_time(record)
     log.times[offset] = record.is_relative and log.clock or nil
   end
-  if record.is_date then go_on_over_hour(log, record, offset) end
+  if record.is_date then shift_over_hour(log, record, offset) end
   if record.note then log:skip(line, record.note) end
   return record
 end
@@ -454,12 +454,12 @@ function M.open(file, options)
   if not log then return nil end
   local is_plain = plain_test(log.bus, options.by_value)
   if not (options.all or log.deltas) and is_plain(lines) then
-    head = text_that_needs_us(file, head, is_plain)
+    head = find_unusual_text(file, head, is_plain)
     if not head then
       return nil, { plain_bus = utf8.name(log.bus), stamps_differ = log.stamps_differ }
     end
   end
-  log.record, log.next = read_record, not log.deltas and next_frame or nil
+  log.record, log.next = parse_record, not log.deltas and next_frame or nil
   log.per_second = SECOND
   log.clock = 0 -- sum of the deltas in nanoseconds
   log.latest_date = nil -- seconds of the latest time that was a date

@@ -108,7 +108,7 @@ end)
 -- data     text that begins with them
 -- pattern  of a byte, which captures its digits and the index behind it
 -- bytes    from byte_table
-function M.read_bytes(data, count, pattern, bytes)
+function M.parse_bytes(data, count, pattern, bytes)
   local found, index = {}, 1
   for i = 1, count do
     local digits, stop = match(data, pattern, index)
@@ -226,7 +226,7 @@ function Log:lose(line, why, is_doubtful)
 end
 
 -- Note which frame is behind the latest drops, and when it came: nothing at the end of the file.
-local function end_drops(self, frame, time)
+local function place_drops(self, frame, time)
   local count = self.unread + (frame and self.has_frame and self.doubtful or 0)
   self.unread, self.doubtful, self.has_frame = 0, 0, true
   if count > 0 then self.drops[#self.drops + 1] = { count = count } end
@@ -253,7 +253,7 @@ end
 -- returns  as read
 function M.next(self, lines, file)
   local line, offset = lines:next(file)
-  if not line then return lines == self.lines and end_drops(self) or nil end
+  if not line then return lines == self.lines and place_drops(self) or nil end
   local record
   if #line > MAX_LINE then
     self:lose(line, TOO_LONG, line:find(COMMENT) ~= nil)
@@ -271,7 +271,7 @@ function M.next(self, lines, file)
   local bus, seconds, nanoseconds = self.buses[record.bus], time_of(self, record, offset)
   if lines == self.lines then
     local time = seconds and seconds + nanoseconds / SECOND
-    end_drops(self, self.lines.number - self.others, time)
+    place_drops(self, self.lines.number - self.others, time)
   end
   return offset, M.packet(bus.number, record), seconds, nanoseconds, bus, self.comments[offset]
 end

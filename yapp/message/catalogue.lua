@@ -339,7 +339,7 @@ function M.assign(catalogue, ids)
       end
     end
   end
-  return by_id, input.few(problems)
+  return by_id, input.first_of(problems)
 end
 
 return M

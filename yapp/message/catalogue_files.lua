@@ -18,7 +18,7 @@ local function run(path)
 end
 
 -- Return the value of a file, or nil and an error.
-local function read(path)
+local function read_file(path)
   local file, problem, code = io.open(path)
   if not file then
     -- The system's message begins with the path and is in the user's language, so "not found" is
@@ -80,7 +80,7 @@ end
 function M.load(files, reserved)
   local all, problems = { entries = {}, origins = {} }, {}
   for _, file in ipairs(files) do
-    local entries, problem = read(file.path)
+    local entries, problem = read_file(file.path)
     if entries then
       add_entries(all, entries, file.path, problems)
     elseif not (file.optional and problem == "not found") then
@@ -92,7 +92,7 @@ function M.load(files, reserved)
   for _, text in ipairs(found) do
     problems[#problems + 1] = text .. "; this message is not decoded"
   end
-  return compiled, input.few(problems)
+  return compiled, input.first_of(problems)
 end
 
 --- The value of a preference in a file of Wireshark's preferences, nil where it has none.

@@ -65,7 +65,7 @@ local function split_part(part)
   return bus, ids, value
 end
 
-local function read_id(text)
+local function parse_id(text)
   local digits = trim(text)
   local id = (digits:find("^%d+$") or digits:find("^0[xX]%x+$")) and tonumber(digits)
   demand(id and id <= input.MAX_ID, ('no ID "%s"'):format(digits), "IDs are 0 to 0x7FF")
@@ -73,11 +73,11 @@ local function read_id(text)
 end
 
 -- Return a list of ranges { first, last }; of a single ID both are the same.
-local function read_ids(text)
+local function parse_ids(text)
   local ranges = {}
   for part in (text .. "+"):gmatch("([^+]*)%+") do
     local first, last = part:match("^([^-]+)%-([^-]+)$")
-    local range = { read_id(first or part), read_id(last or part) }
+    local range = { parse_id(first or part), parse_id(last or part) }
     demand(range[1] <= range[2], ('no ID in "%s"'):format(trim(part)), "write the lower ID first")
     ranges[#ranges + 1] = range
   end
@@ -125,9 +125,9 @@ end
 -- Read a part.
 -- returns  the bus, the ranges of IDs, the compiled message and the name: nil for each that it does
 --          not say
-local function read_part(part, catalogue)
+local function parse_part(part, catalogue)
   local bus, id_text, value = split_part(part)
-  local ids = id_text and read_ids(id_text)
+  local ids = id_text and parse_ids(id_text)
   local message_name, name = value:match("^(.-):(.*)$")
   name = trim(name or value)
   demand(not name:find(";.*="), "a semicolon", "separate sources by commas")
@@ -155,7 +155,7 @@ end
 
 -- Add the rows of a part; raise if an earlier part has one.
 local function add_part(self, part, catalogue)
-  local bus, ranges, message, name = read_part(part, catalogue)
+  local bus, ranges, message, name = parse_part(part, catalogue)
   local names, is_repeated = ranges and expand_names(name or "", ranges), false
   bus = bus and check_address(bus)
   if not ranges then is_repeated = add_row(self, bus, nil, nil, name) end
@@ -170,7 +170,7 @@ end
 
 --- Return the address of an ID, the text before the "=" of a part: can1/0x210, "a,b"/0x210.
 -- bus  name, or nil; id = message ID
-function M.address(bus, id)
+function M.address_text(bus, id)
   if bus and bus:find('[,="%s]') then bus = '"' .. bus:gsub('"', '""') .. '"' end
   return ("%s0x%x"):format(bus and bus .. "/" or "", id)
 end
@@ -194,11 +194,11 @@ function M.parse(text, catalogue)
       problems[#problems + 1] = utf8.printable(problem)
     end
   end
-  return self, input.few(problems)
+  return self, input.first_of(problems)
 end
 
 -- Return a name that a bus has together with others, nil for none.
-local function wider(bus)
+local function name_above(bus)
   return bus:match("^(.+)#[rt]x$") or bus:match("^(usb%d+%.%d+)%.%d+$") or
     bus:match("^(%d+%.%d+%.%d+%.%d+):%d+$") or
     bus:match("^(%[.+%]):%d+$") or bus:match("^%[(.+)%]$")
@@ -208,7 +208,7 @@ end
 local function rows_of(self, bus, interface)
   local list = {}
   while bus do
-    list[#list + 1], bus = self.by_bus[bus], wider(bus)
+    list[#list + 1], bus = self.by_bus[bus], name_above(bus)
   end
   if interface then list[#list + 1] = self.by_bus[interface] end
   return list

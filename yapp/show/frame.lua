@@ -95,7 +95,7 @@ local function show_last(self, result)
   local status = transfer.status
   self.payload_tvb = wants.tree and payload_tvb_of(self, transfer)
   if wants.yapp then add_transfer(self, result) end
-  if status == "bad" then builder:bad_crc(self.item, transfer) end
+  if status == "bad" then builder:add_bad_crc(self.item, transfer) end
   local mark = #transfer > 1 and builder.MARKS[status] or ""
   if not transfer.received then return builder:show_message(message, self) .. mark end
   if wants.yapp then
@@ -139,7 +139,9 @@ end
 local function find_end(self, frame, transfer)
   local last = transfer[#transfer]
   if transfer.payload then return last % 1 == 0 and number_of(last) or nil end
-  if not transfer.status and last == frame.key then self.builder:expert(self.item, "unfinished") end
+  if not transfer.status and last == frame.key then
+    self.builder:add_expert(self.item, "unfinished")
+  end
 end
 
 local function show_fragment(self, result)
@@ -175,9 +177,9 @@ local function show_anomalies(self, frame, anomalies)
   local builder, item = self.builder, self.item
   if #frame.data < frame.reported then
     local text = "The capture has %d of the frame's %d bytes"
-    builder:expert(item, "truncated", text:format(#frame.data, frame.reported))
+    builder:add_expert(item, "truncated", text:format(#frame.data, frame.reported))
   end
-  for _, one in ipairs(anomalies or {}) do builder:expert(item, one.expert, one.text) end
+  for _, one in ipairs(anomalies or {}) do builder:add_expert(item, one.expert, one.text) end
 end
 
 --- Show a frame.
@@ -210,7 +212,7 @@ function FrameView:show_without_id(wants, tvb, pinfo, tree)
     if tvb:len() > 0 then add(item, self.fields.payload, tvb()) end
   end
   pinfo.cols.protocol = "YAPP"
-  builder:expert(item, "can.id.missing")
+  builder:add_expert(item, "can.id.missing")
 end
 
 return M

@@ -59,8 +59,8 @@ local function show_message(self, result, tvb, wants, tree)
   local status, source = transfer.status, message.source
   local offset = transfer.offset + HEADER
   local item = wants.tree and add_item(self, result, tvb, tree) or tree
-  if status == "bad" then builder:bad_crc(item, transfer) end
-  for _, one in ipairs(result.anomalies or {}) do builder:expert(item, one.expert, one.text) end
+  if status == "bad" then builder:add_bad_crc(item, transfer) end
+  for _, one in ipairs(result.anomalies or {}) do builder:add_expert(item, one.expert, one.text) end
   local mark = builder.MARKS[status]
   if status ~= "incomplete" or not source.message then
     return builder:show_message(message, {
@@ -104,14 +104,14 @@ local function show_skipped(self, result, packet, tvb, wants, item)
   local builder, length, finding = self.builder, result.length, result.transfer
   local offset = finding.offset or 0
   local text = quote(finding.bytes or sub(packet.bytes, offset + 1, offset + length))
-  local size = builder.bytes(length)
+  local size = builder.bytes_text(length)
   if wants.tree then
     item = add(item, builder.yapp, tvb(offset, length))
     append_text(item, (", %s skipped"):format(size))
     append_text(add(item, self.fields.skipped, tvb(offset, length)), text)
   end
   local expert = size .. " that belong to no frame" .. text:gsub("^ ", ": ")
-  builder:expert(item, "stream.skipped", expert)
+  builder:add_expert(item, "stream.skipped", expert)
   return ("Skipped %s%s"):format(size, text)
 end
 
@@ -134,8 +134,8 @@ local function show_pending(self, packet, contents, tvb, wants, item)
     add(item, fields["fragment.data"], range)
     if leads_to then set_generated(add(item, fields["reassembled.in"], leads_to)) end
   end
-  if contents.is_unfinished then builder:expert(item, "unfinished") end
-  return pending_text(contents, builder.bytes(pending), leads_to)
+  if contents.is_unfinished then builder:add_expert(item, "unfinished") end
+  return pending_text(contents, builder.bytes_text(pending), leads_to)
 end
 
 -- Packets -----------------------------------------------------------------------------------------
@@ -153,7 +153,7 @@ local function show_truncated(self, packet, results, tree)
   local last = results[#results]
   if packet.bytes == "" or last and last.transfer.missing then return end
   local text = "The capture has %d of the packet's %d bytes"
-  self.builder:expert(tree, "truncated", text:format(#packet.bytes, packet.length))
+  self.builder:add_expert(tree, "truncated", text:format(#packet.bytes, packet.length))
 end
 
 -- Fill the columns.

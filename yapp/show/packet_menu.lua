@@ -28,7 +28,7 @@ local FILTERS = {
 -- name  of a field that the packet must have
 -- act   function(values): by name those of YAPP's fields, and of frame.number, as a display filter
 --       writes them, with commas between
-local function add(title, name, act)
+local function add_item(title, name, act)
   register_packet_menu("YAPP/" .. title, function(...)
     local values = {}
     for _, field in ipairs { ... } do
@@ -44,7 +44,7 @@ local function add(title, name, act)
 end
 
 -- Set preferences: { [name without "yapp."] = value }.
-local function set(values)
+local function set_preferences(values)
   for name, value in pairs(values) do set_preference("yapp." .. name, value) end
   apply_preferences()
   redissect_packets()
@@ -90,10 +90,10 @@ end
 local function ask_name(values, sources, catalogue)
   local bus, id = bus_of(values), tonumber(values["yapp.id"]:match("%d+"))
   if not source_names.parse(sources, catalogue):has_part(bus, id) then
-    sources = sources .. (sources == "" and "" or ", ") .. source_names.address(bus, id) .. "="
+    sources = sources .. (sources == "" and "" or ", ") .. source_names.address_text(bus, id) .. "="
   end
   new_dialog("YAPP Name this controller", function(answer)
-    if not answer:find("=%s*$") then set { sources = answer } end
+    if not answer:find("=%s*$") then set_preferences { sources = answer } end
   end, { name = "Names of sources", value = sources })
 end
 
@@ -137,14 +137,14 @@ local function decode_by_size(prefs, messages)
     local name = message.name .. "_ids"
     values[name] = prefs[name] .. "," .. table.concat(ids, ",")
   end
-  if next(values) then return set(values) end
+  if next(values) then return set_preferences(values) end
   report_failure("YAPP: no message of an unknown ID has the size of a message in the catalogue")
 end
 
 -- Add an item that filters.
 -- row  of FILTERS; field: that the packet must have; of: whose values are in the filter
 local function add_filter(row, field, of)
-  add(row[1], field, function(values)
+  add_item(row[1], field, function(values)
     set_filter(row[3]:format(values[of], values["frame.number"]))
     apply_filter()
   end)
@@ -164,17 +164,17 @@ local function register_of_packet(prefs, catalogue)
   end
   for _, message in ipairs(catalogue.messages) do
     local ids, like = message.name .. "_ids", "yapp.like." .. message.name
-    add("Decode this ID as " .. message.title, like, function(values)
-      set { [ids] = prefs[ids] .. "," .. values[like] }
+    add_item("Decode this ID as " .. message.title, like, function(values)
+      set_preferences { [ids] = prefs[ids] .. "," .. values[like] }
     end)
-    add("Decode all IDs of this size as " .. message.title, like, function()
+    add_item("Decode all IDs of this size as " .. message.title, like, function()
       decode_by_size(prefs, { message })
     end)
   end
-  add("Name this controller ...", "yapp.id", function(values)
+  add_item("Name this controller ...", "yapp.id", function(values)
     ask_name(values, prefs.sources, catalogue)
   end)
-  add("Copy message as candump", "can.id", copy_as_candump)
+  add_item("Copy message as candump", "can.id", copy_as_candump)
 end
 
 --- Make the menus.

@@ -75,7 +75,7 @@ function ADD.number(field, fields)
 end
 
 -- A value that is worked out from the bytes.
-local function adding(value)
+local function new_adder(value)
   return function(field, fields)
     local pf = fields[field.filter]
     return function(parent, range, raw)
@@ -84,13 +84,13 @@ local function adding(value)
   end
 end
 
-ADD.text = adding(value_of)
-ADD.time = adding(function(_, raw) return NSTime.new(binary.time(raw, 0)) end)
+ADD.text = new_adder(value_of)
+ADD.time = new_adder(function(_, raw) return NSTime.new(binary.time(raw, 0)) end)
 
 -- Return a function(raw) -> the ProtoFields of flags, those that are set first: of thirty faults
 -- the one that is there is seen at once.  It keeps the latest order.
 -- flags  { { pf, mask }, ... }
-local function ordered(flags)
+local function new_order(flags)
   local order, latest = {}, nil
   return function(raw)
     if raw == latest then return order end
@@ -113,7 +113,7 @@ function ADD.flags(field, fields)
     local own = fields[flag.filter]
     if own then flags[#flags + 1] = { own, flag.mask } end
   end
-  local order_of = ordered(flags)
+  local order_of = new_order(flags)
   return function(parent, range, raw)
     local item = pf and add_le(parent, pf, range) or parent
     local order = order_of(raw)
@@ -306,7 +306,7 @@ local function add_generated_values(self, message, plan, top)
 end
 
 -- Build it; return it, the items by index of field, for the expert items, and the one of faults.
-local function build(self, message, view)
+local function build_tree(self, message, view)
   local raws, items, of_type = message.raws, {}, message.source.message
   local plan, tvb, offset = plan_of(self, of_type, view), view.payload_tvb, view.payload_offset
   local whole = range_of(tvb, offset, math.min(of_type.size, #message.payload))
@@ -344,7 +344,7 @@ end
 function Taurus:show(message, view)
   local top, items, above = nil, NONE, nil
   if view.payload_tvb and message.payload ~= "" then
-    top, items, above = build(self, message, view)
+    top, items, above = build_tree(self, message, view)
   end
   for _, remark in ipairs(message.remarks or NONE) do
     local index, name = remark[1], remark[2]

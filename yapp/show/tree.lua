@@ -55,7 +55,7 @@ function Tree:reset()
 end
 
 --- Say that this first pass of tshark is its only one: no packet is revisited.
-function Tree:only_pass()
+function Tree:set_only_pass()
   self.wanted, self.is_only_pass = nil, true
 end
 
@@ -78,7 +78,7 @@ end
 local LIST = { columns = true, shows = true } -- a packet list of Wireshark, or of later passes
 
 -- Ask Wireshark which parts of a packet are wanted.
-local function ask(self, tree)
+local function ask_wants(self, tree)
   -- The API takes a dissector here, and ours exist only after loading.
   local wants = { columns = true, shows = true }
   wants.yapp = tree:referenced(Dissector.get("yapp"))
@@ -90,9 +90,9 @@ local function ask(self, tree)
 end
 
 -- Ask Wireshark in tshark's first pass, where the answer is the same for all packets.
-local function ask_first(self, tree, pinfo)
+local function ask_first_pass(self, tree, pinfo)
   local has_columns = tostring(pinfo.cols.info) ~= NO_COLUMN
-  local wants = tree.hidden and ask(self, tree) or {}
+  local wants = tree.hidden and ask_wants(self, tree) or {}
   wants.columns = has_columns
   wants.shows = has_columns or wants.tree or wants.names
   wants.plans = {}
@@ -120,10 +120,10 @@ end
 -- and in later passes, it may change.
 function Tree:wants(tree, pinfo, visited)
   if IS_TSHARK and not visited then
-    self.wanted = self.wanted or ask_first(self, tree, pinfo)
+    self.wanted = self.wanted or ask_first_pass(self, tree, pinfo)
     return self.wanted
   end
-  return tree.hidden and ask(self, tree) or LIST
+  return tree.hidden and ask_wants(self, tree) or LIST
 end
 
 --- Add the names of the protocols to a tree in which no field of YAPP is wanted, for -z io,phs.
@@ -140,7 +140,7 @@ end
 --- Add an expert item of YAPP's.
 -- name  its filter without "yapp."
 -- text  see show.fields, add_expert
-function Tree.expert(_, item, name, text)
+function Tree.add_expert(_, item, name, text)
   show_fields.add_expert(item, "yapp." .. name, text)
 end
 
@@ -197,9 +197,9 @@ function Tree:add_crc(item, range, transfer, sent)
 end
 
 --- Say that a CRC is bad, with the received and the expected one.
-function Tree:bad_crc(item, transfer)
+function Tree:add_bad_crc(item, transfer)
   local text = ("Received 0x%08x, expected 0x%08x"):format(transfer.crc, transfer.calculated)
-  self:expert(item, "crc.bad", text)
+  self:add_expert(item, "crc.bad", text)
 end
 
 --- Add whether a message has a fault, in each of its frames.
@@ -223,7 +223,7 @@ function Tree:add_delta(item, message)
 end
 
 --- Return a number of bytes in words: "1 byte", "2 bytes".
-function Tree.bytes(count)
+function Tree.bytes_text(count)
   return count == 1 and "1 byte" or ("%d bytes"):format(count)
 end
 
@@ -243,8 +243,8 @@ local function add_mismatch(self, message, view)
   local source = message.source
   local least, most = source.min_size, source.size
   local known = least < most and ("%d to %d"):format(least, most) or most
-  local text = ("%s, the catalogue says %s"):format(Tree.bytes(message.size), known)
-  self:expert(view.item, "size.mismatch", ("%s has %s"):format(source.label, text))
+  local text = ("%s, the catalogue says %s"):format(Tree.bytes_text(message.size), known)
+  self:add_expert(view.item, "size.mismatch", ("%s has %s"):format(source.label, text))
   return ("%s, %s"):format(source.label, text)
 end
 
@@ -270,8 +270,8 @@ local function show_bytes(self, message, view)
   if like and view.wants.yapp then
     set_generated(add(view.item, self.fields["like." .. like.name], id))
   end
-  self:expert(view.item, "id.unknown", text)
-  return ("%s  %s%s"):format(message.source.label, Tree.bytes(#message.payload), info)
+  self:add_expert(view.item, "id.unknown", text)
+  return ("%s  %s%s"):format(message.source.label, Tree.bytes_text(#message.payload), info)
 end
 
 -- Return the text of a message's values in Info.  The source stands in it even if a column shows it
@@ -300,7 +300,7 @@ function Tree:show_message(message, view)
     end
   end
   if message.copy_of then
-    self:expert(view.item, "copy")
+    self:add_expert(view.item, "copy")
     info = ("%s  [copy of #%d]"):format(info, number_of(message.copy_of))
   end
   if message.change then
@@ -313,7 +313,8 @@ function Tree:show_message(message, view)
   if message.undecoded then
     add_bytes(self, message, view, "undecoded", source.size)
     add_mismatch(self, message, view)
-    info = ("%s  [%s, %d not decoded]"):format(info, Tree.bytes(message.size), message.undecoded)
+    local size = Tree.bytes_text(message.size)
+    info = ("%s  [%s, %d not decoded]"):format(info, size, message.undecoded)
   end
   return info
 end

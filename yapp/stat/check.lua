@@ -143,7 +143,7 @@ local function judge(self, rule)
   if rule.kind.scope == "capture" then
     about[1] = self.capture
   else
-    for _, group in ipairs(self:sorted()) do
+    for _, group in ipairs(self:sort()) do
       if is_about(rule, group) then about[#about + 1] = group end
     end
   end
@@ -186,7 +186,7 @@ local function texts_of(row, keys, with_key, between)
 end
 
 -- Write it if it is asked for; return an error, nil for none.
-local function report(self, problems)
+local function write_report(self, problems)
   local path, cases, counts = self.options.junit, {}, self.counts
   if not path then return nil end
   for i, row in ipairs(self.rows) do
@@ -213,7 +213,7 @@ function Check:finish(ending, notes, states)
   for _, rule in ipairs(options.rules) do
     judge(self, rule)
   end
-  local problem = report(self, problems)
+  local problem = write_report(self, problems)
   if problem then
     problems[#problems + 1] = "the report is not written: " .. problem
   end

@@ -64,7 +64,7 @@ end
 local function create(self, name)
   local advice = not self.options.replace and "add the option replace to write it anew"
   local file, problem = output.create(path_of(self, name), advice)
-  if not file then error("csv: " .. output.finish(self.files, problem), 0) end
+  if not file then error("csv: " .. output.close_files(self.files, problem), 0) end
   self.files[#self.files + 1] = file
   return file
 end
@@ -98,7 +98,7 @@ function M.new(options, context)
 end
 
 --- Take an event, see stat.derive.
-function Csv:event(event)
+function Csv:add_event(event)
   local all, source, is_good = self.options.all, event.source, event.kind == "message"
   local to = event.raws and self.tables[source.message]
   if not (to and (is_good or all)) then return end
@@ -203,7 +203,7 @@ function Csv:finish(_, notes)
   local function list_of(message) return columns_of(self, message) end
   local statistics = self.options.statistics
   self.fields:write(M.describe(settings.catalogue, settings.version, list_of, statistics) .. "\n")
-  local problem = output.finish(self.files)
+  local problem = output.close_files(self.files)
   if problem then return output.EXIT_UNDECIDED, "csv: " .. problem end
   for i, message in ipairs(settings.catalogue.messages) do
     rows[i] = { file = path_of(self, message.name .. ".csv"), rows = self.tables[message].rows }

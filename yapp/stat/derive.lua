@@ -4,14 +4,14 @@
 -- faults that are still active, and sources that never came.  Pure Lua, 5.2 to 5.5.
 --
 -- A statistic has
---   event(event, now, cause)  takes an event that counts: now = seconds without the steps back of
---                             the capture's clock; cause = the event of the message that shows it
---   finish(ending, notes, states)  ends; returns the exit code and a text, each nil for none:
---                             ending = see Queue:finish; notes = texts on all that its answer
---                             leaves out; states = by source, see new_state
---   follows_changes           true if it shows changes since the message before
---   lists_problems            true if it lists ending.problems itself
---   wants_messages_only       true if it needs no events but good messages and those with a bad CRC
+--   add_event(event, now, cause)  of each event that counts: now = seconds without the steps back
+--                        of the capture's clock; cause = the event of the message that shows it
+--   finish(ending, notes, states)  returns the exit code and a text, each nil for none: ending =
+--                        see Queue:finish; notes = texts on all that its answer leaves out;
+--                        states = by source, see new_state
+--   follows_changes      true if it shows changes since the message before
+--   lists_problems       true if it lists ending.problems itself
+--   wants_messages_only  true if it needs no events but good messages and those with a bad CRC
 
 local frame_key = require "yapp.base.frame_key"
 local joined = require "yapp.base.joined"
@@ -22,7 +22,7 @@ local undecoded = require "yapp.stat.undecoded"
 
 local M = {}
 
-local new_event, span, NOTHING = kinds.event, kinds.span, kinds.NOTHING
+local new_event, span, NOTHING = kinds.new_event, kinds.span, kinds.NOTHING
 local MAX_HELD = 64 -- events of a source, more than there are until it shows that it is shared
 local MAX_GAP = 1.5 -- periods; a longer gap has room for another message
 local NO_SPANS = "how long faults, gaps and silences lasted is not known"
@@ -96,7 +96,7 @@ function Deriver:add(event, cause)
   if counts and may_have_faults(event.source) then
     counts[event.kind] = (counts[event.kind] or 0) + (event.values.count or 1)
   end
-  self.statistic:event(event, self.now, cause or event)
+  self.statistic:add_event(event, self.now, cause or event)
 end
 
 local function emit(self, kind, cause, values)
@@ -106,7 +106,7 @@ local function emit(self, kind, cause, values)
 end
 
 -- Return whether the filter lets an event count.
-local function lets_count(self, event)
+local function is_matched(self, event)
   return not self.matched or self.matched[event.frame]
 end
 
@@ -173,7 +173,7 @@ end
 
 -- Emit the events that are held, but those that a `shared` explains.
 -- since  number of the first packet that it explains, nil for none
-local function end_held(self, state, since)
+local function emit_held(self, state, since)
   for _, one in ipairs(state.held or NOTHING) do
     if one.frame < (since or math.huge) then emit(self, one.kind, one.cause, one.values) end
   end
@@ -182,7 +182,7 @@ end
 
 -- Note once for a source why its history is unreliable.
 -- shared  of its change, see message.history
-local function note_unreliable(self, event, shared)
+local function add_unreliable_note(self, event, shared)
   local source, notes = event.source, self.unreliable_notes
   if notes[source] then return end
   local text = (shared and SHARED or UNRELIABLE):format(output.bus_and_id(source), event.frame)
@@ -204,11 +204,11 @@ local function emit_changes(self, state, event, change)
   for _, values in ipairs(event.values.invalid or NOTHING) do
     emit(self, "invalid", event, values)
   end
-  if event.values.is_unreliable then note_unreliable(self, event, change.shared) end
+  if event.values.is_unreliable then add_unreliable_note(self, event, change.shared) end
 end
 
 -- Return how many messages of a source fit between two times.
-local function missing_between(state, from, to)
+local function count_missing(state, from, to)
   local message = state.last.source.message
   if not (message and message.every) then return 0 end
   local periods = span(from, to) / message.every
@@ -217,8 +217,8 @@ end
 
 -- Emit the events before a message that it shows: a silence, or a source that two controllers
 -- share.
-local function emit_past(self, state, event, change)
-  if change.shared then end_held(self, state, frame_key.number(change.shared)) end
+local function emit_earlier(self, state, event, change)
+  if change.shared then emit_held(self, state, frame_key.number(change.shared)) end
   if change.late and state.is_counted then
     local values = { length = output.seconds(change.late) }
     emit_or_hold(self, state, event, "silence", state.last, values)
@@ -229,10 +229,10 @@ local function update_state(self, event, is_counted, capture_now)
   local state, values = self.by_source[event.source], event.values
   local change = values.change or NOTHING
   if state.is_counted and not values.is_unreliable then
-    local missing = missing_between(state, state.last_at, self.now)
+    local missing = count_missing(state, state.last_at, self.now)
     state.missing_by_period = state.missing_by_period + missing
   end
-  if change ~= NOTHING then emit_past(self, state, event, change) end
+  if change ~= NOTHING then emit_earlier(self, state, event, change) end
   state.last, state.last_at, state.is_counted = event, self.now, is_counted
   state.ahead = capture_now - self.now
   if is_counted and values ~= NOTHING then emit_changes(self, state, event, change) end
@@ -255,7 +255,7 @@ end
 -- now          seconds of the capture, see above
 -- capture_now  the same by the stamps of all sources, which may be those of another recorder
 function Deriver:derive(event, now, capture_now)
-  local is_counted, is_message = lets_count(self, event), event.kind == "message"
+  local is_counted, is_message = is_matched(self, event), event.kind == "message"
   self.now = now
   if is_counted then
     self.came[event.source] = true
@@ -275,9 +275,9 @@ end
 -- The end -----------------------------------------------------------------------------------------
 
 -- Possible messages that are not dissected.  If other messages came, they are `unknown` events.
-local function end_undissected(self, ending)
+local function emit_undissected(self, ending)
   for _, event in ipairs(ending.undissected) do
-    if lets_count(self, event) then
+    if is_matched(self, event) then
       local values = self.undecoded:count(event.source, event.values.size)
       if not ending.reason then emit(self, "unknown", event, values) end
     end
@@ -285,7 +285,7 @@ local function end_undissected(self, ending)
 end
 
 -- Silences that last to the end of the capture.
-local function end_silences(self, ending)
+local function emit_last_silences(self, ending)
   for _, state in ipairs(self.states) do
     local event = state.last
     local message = event.source.message
@@ -299,7 +299,7 @@ local function end_silences(self, ending)
 end
 
 -- The faults that are still set at the last message of their source that counts.
-local function end_faults(self)
+local function emit_active_faults(self)
   output.sort(self.states, function(state) return state.counted.frame end)
   for _, state in ipairs(self.states) do
     for _, fault in ipairs(state.counted_faults) do
@@ -308,7 +308,7 @@ local function end_faults(self)
   end
 end
 
-local function end_absences(self, ending)
+local function emit_absences(self, ending)
   for _, row in ipairs(self.settings.sources:list()) do
     local is_absent = row.message
     for source in pairs(self.came) do
@@ -326,7 +326,7 @@ local function end_absences(self, ending)
 end
 
 -- The packets that were lost while capturing.
-local function end_drops(self, ending)
+local function emit_drops(self, ending)
   for _, drop in ipairs(ending.drops) do
     local time = drop.time and math.floor((drop.time - ending.begin) * 1e6 + 0.5) / 1e6
     local values = { count = drop.count }
@@ -335,14 +335,14 @@ local function end_drops(self, ending)
 end
 
 -- Return a text: how many damaged or lost messages may have had a fault; nil for none.
-local function hiding(self, now)
+local function hidden_faults_text(self, now)
   local texts, missing = {}, 0
   for _, state in ipairs(self.states) do
     if may_have_faults(state.last.source) then
       if not state.is_numbered then missing = missing + state.missing_by_period end
       local has_end = state.is_counted and not state.last.values.is_unreliable
       local last_at = state.last_at + state.ahead
-      if has_end then missing = missing + missing_between(state, last_at, now) end
+      if has_end then missing = missing + count_missing(state, last_at, now) end
     end
   end
   for _, row in ipairs(kinds.LIST) do
@@ -361,7 +361,7 @@ local function copies_text(count)
 end
 
 -- Return the texts on all that the answer leaves out, and whether they make it undecided.
-local function notes_of(self, ending)
+local function list_notes(self, ending)
   local reason, matched = ending.reason, self.matched
   if matched and not next(self.came) then reason = reason or "no message matches the filter" end
   local unreliable = self.statistic.follows_changes and self.unreliable_notes or NOTHING
@@ -370,7 +370,7 @@ local function notes_of(self, ending)
   local notes = joined(problems, { reason }, { no_times }, self.undecoded:texts(), unreliable)
   notes[#notes + 1] = copies_text(self.copies)
   if not no_times then notes = joined(notes, self.equal_stamps) end
-  if self.counts then notes[#notes + 1] = hiding(self, ending.now) end
+  if self.counts then notes[#notes + 1] = hidden_faults_text(self, ending.now) end
   if not matched then notes[#notes + 1] = ending.hint end
   return notes, ending.problems[1] ~= nil or unreliable[1] ~= nil
 end
@@ -379,13 +379,13 @@ end
 -- ending   see Queue:finish
 -- returns  the exit code, nil for 0; a text to say, or nil; and a list of texts to say
 function Deriver:finish(ending)
-  for _, state in ipairs(self.states) do end_held(self, state) end
-  end_undissected(self, ending)
-  end_silences(self, ending)
-  end_faults(self)
-  end_absences(self, ending)
-  end_drops(self, ending)
-  local notes, is_undecided = notes_of(self, ending)
+  for _, state in ipairs(self.states) do emit_held(self, state) end
+  emit_undissected(self, ending)
+  emit_last_silences(self, ending)
+  emit_active_faults(self)
+  emit_absences(self, ending)
+  emit_drops(self, ending)
+  local notes, is_undecided = list_notes(self, ending)
   local code, text = self.statistic:finish(ending, notes, self.by_source)
   if is_undecided then return code or output.EXIT_UNDECIDED, text, notes end
   local has_no_notes = self.options.json or self.options.row.table_only

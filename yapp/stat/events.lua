@@ -67,7 +67,7 @@ end
 
 --- Take an event, see stat.derive.  Of messages that were not decoded, keep the first event of each
 -- source and size alone.
-function Events:event(event)
+function Events:add_event(event)
   local row = kinds.BY_NAME[event.kind]
   local is_listed = self.what == "events" and row and not row.is_counted_only
   local is_wanted = is_listed or event.kind == "fault"

@@ -23,7 +23,7 @@ local function number_of(values, raws)
 end
 
 -- A number with the digits that people see.
-local function rounded(field, value)
+local function round(field, value)
   local shape = field.shape
   return shape and tonumber(shape:format(value)) or value -- NaN stays
 end
@@ -65,7 +65,7 @@ local function add_value(values, value, frame)
   if value >= values.low and value <= values.high then
     return
   end
-  value = rounded(values.field, value)
+  value = round(values.field, value)
   local by = math.max(values.low - value, value - values.high)
   if value ~= value then by = values.lets_reserved and 0 or INFINITE end -- beyond all, or not
   if by <= 0 then return end
@@ -80,7 +80,7 @@ end
 -- longest  seconds for which a value stays valid
 local function update_spread(values, value, event, now, longest)
   local spread, low, high, count = values.spread, INFINITE, -INFINITE, 0
-  values.latest, values.latest_at = rounded(values.field, value or NO_NUMBER), now
+  values.latest, values.latest_at = round(values.field, value or NO_NUMBER), now
   for _, one in ipairs(spread.members) do
     local latest = one.latest
     if latest == latest and span(one.latest_at, now) <= longest then
@@ -181,7 +181,7 @@ function Groups:wants(message)
 end
 
 -- amount  to add; nil for 1, but only once for all events of one cause
-local function add(group, kind, event, cause, amount)
+local function count_event(group, kind, event, cause, amount)
   local count, frame = group.counts[kind], event.frame
   if frame and frame < (count.frame or INFINITE) then
     count.frame, count.values = frame, event.values
@@ -235,7 +235,7 @@ local function add_message(self, event, now)
 end
 
 --- Take an event, see stat.derive.  Of faults those that rose count.
-function Groups:event(event, now, cause)
+function Groups:add_event(event, now, cause)
   local kind, values = event.kind, event.values
   local row = kinds.BY_NAME[kind]
   if not row then return add_message(self, event, now) end
@@ -244,12 +244,12 @@ function Groups:event(event, now, cause)
   end
   if kind == "absent" then self.absent[event.source] = true end
   local group = row.scope == "capture" and self.capture or self.by_source[event.source]
-  add(group, row.counts_as or kind, event, cause, values[row.amount])
+  count_event(group, row.counts_as or kind, event, cause, values[row.amount])
   if kind ~= "silence" then return end
   if values.is_last then
     group.silent = values.length
   else
-    add(group, "late", event, cause)
+    count_event(group, "late", event, cause)
   end
 end
 
@@ -272,13 +272,13 @@ function M.row(group, values)
     min, max = number_of_raw(field, min), number_of_raw(field, max)
     mean = number_of_raw(field, mean)
   end
-  row.min, row.mean, row.max = rounded(field, min), mean, rounded(field, max)
+  row.min, row.mean, row.max = round(field, min), mean, round(field, max)
   return row
 end
 
 --- Return all groups by bus in the order in which buses showed, then by ID.  A stream itself has no
 -- ID and comes first.
-function Groups:sorted()
+function Groups:sort()
   output.sort(self.list, function(group) return group.bus_order, group.source.id or -1 end)
   return self.list
 end

@@ -81,7 +81,7 @@ end
 -- Return the event of a message or frame.
 -- message  of reading.messages, or a frame of reading.records
 local function new_event(kind, message, values)
-  return kinds.event(kind, message.number, message.time, message.source, values, message)
+  return kinds.new_event(kind, message.number, message.time, message.source, values, message)
 end
 
 local function offer(self, kind, message, values)

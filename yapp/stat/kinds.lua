@@ -157,7 +157,7 @@ M.NOTHING = {}
 -- values  by the keys of its kind, and by those in its text; of a message see stat.intake
 -- message  of a message: { seq, raws = its raw values, nil or false where the catalogue does not
 --         decode it }
-function M.event(kind, frame, time, source, values, message)
+function M.new_event(kind, frame, time, source, values, message)
   return {
     kind = kind,
     time = time,

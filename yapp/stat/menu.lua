@@ -80,10 +80,10 @@ local function show_frames(frames)
 end
 
 -- [window] = function(), called when packets have come, of the windows that are open.
-local notes_of_age = {}
+local on_packets_of = {}
 
 -- A window with a text that can be made anew, copied and saved, and whose frames can be shown.
--- make  function(note_progress) -> the text, the frames; see Stat:run
+-- make  function(on_progress) -> the text, the frames; see Stat:run
 -- stat  of stat.taps
 local function open_window(title, make, stat)
   local window, content, frames = TextWindow.new("YAPP " .. title), nil, nil
@@ -93,25 +93,25 @@ local function open_window(title, make, stat)
   local function set(text)
     if not is_closed then window:set(text) end
   end
-  local function note_progress(number)
+  local function on_progress(number)
     set(READING:format(number, stat.total))
   end
   local function refresh()
     is_old = true
-    note_progress(0)
-    content, frames = make(note_progress)
+    on_progress(0)
+    content, frames = make(on_progress)
     total, time, is_old = stat.total, os.date("%H:%M:%S"), false
     set(content)
   end
   -- Say once that the text is old: a new text makes a window scroll to its beginning.
-  notes_of_age[window] = function()
+  on_packets_of[window] = function()
     if is_old or stat.total <= total then return end
     is_old = true
     set(OLD:format(time) .. content)
   end
   window:set_atclose(function()
     is_closed = true
-    notes_of_age[window] = nil
+    on_packets_of[window] = nil
   end)
   window:add_button("Refresh", refresh)
   window:add_button("Copy", function() copy_to_clipboard(content) end)
@@ -152,8 +152,8 @@ function M.register(stat)
   -- count too.
   local function show(argument)
     local row = options_of.BY_NAME[argument:match("^yapp,(%w+)")]
-    open_window(row and row.title or "", function(note_progress)
-      return stat:run(argument, note_progress)
+    open_window(row and row.title or "", function(on_progress)
+      return stat:run(argument, on_progress)
     end, stat)
   end
 
@@ -175,7 +175,7 @@ function M.register(stat)
   local function summary() show("yapp,summary") end
   register_menu("YAPP Summary (more: Tools > YAPP)", summary, MENU_STAT_UNSORTED)
   return show, function()
-    for _, note in pairs(notes_of_age) do note() end
+    for _, call in pairs(on_packets_of) do call() end
   end
 end
 

@@ -30,23 +30,23 @@ local MAX_FILE = 2 ^ 20 -- bytes of a file of rules
 -- Functions from here to the rows of the statistics raise errors.
 
 -- Return a number that is not below 0; for a count one without a fraction.
-local function limit_of(text, what, is_count)
+local function parse_limit(text, what, is_count)
   local value = decimal(text)
   local is_good = value and value >= 0 and not (is_count and text:find("%D"))
   return demand(is_good and value, "%q is not a %s", text, what)
 end
 
 -- An end of a range, which may be left out.
-local function end_of(text, none)
+local function parse_end(text, none)
   if text == "" then return none end
   return demand(decimal(text), RANGE)
 end
 
 -- Return the ends of A..B, A.. or ..B.
-local function range_of(text)
+local function parse_range(text)
   local low, high = text:match("^(.-)%.%.(.*)$")
   demand(low and text ~= "..", RANGE)
-  low, high = end_of(low, -INFINITE), end_of(high, INFINITE)
+  low, high = parse_end(low, -INFINITE), parse_end(high, INFINITE)
   demand(low <= high, "nothing lies in this range")
   return low, high
 end
@@ -55,9 +55,9 @@ end
 local function set_limits(rule, value)
   local measure = rule.kind
   if measure.takes_range and (not measure.bound or value:find("..", 1, true)) then
-    rule.low, rule.high = range_of(value)
+    rule.low, rule.high = parse_range(value)
   else
-    rule[measure.bound] = limit_of(value, measure.name, measure.is_count)
+    rule[measure.bound] = parse_limit(value, measure.name, measure.is_count)
   end
 end
 
@@ -79,7 +79,7 @@ end
 
 -- Return the name of a rule MESSAGE.NAME=..., and its measure, nil for a field.  A field of the
 -- user's may have the name of a measure: then NAME.value is the field, NAME.messages the measure.
-local function tell_apart(message, name)
+local function find_measure(message, name)
   local short, kind = name:match("^(.*)%.(%l+)$")
   if kind == "value" then return short end
   local measure = find(measures.OF_MESSAGE, short)
@@ -96,12 +96,12 @@ end
 --   low, high  the limits of the value to judge
 --   message    compiled, of MESSAGE.
 --   want       an entry of Groups:wants, nil for a rule about no field }
-local function read_rule(text, catalogue, source)
+local function parse_rule(text, catalogue, source)
   local name, value = text:match("^([^=]*)=(.*)$")
   local kind = kinds.BY_NAME[name]
   local rule = { text = text, source = source, kind = kind, low = -INFINITE, high = INFINITE }
   if kind and not kind.counts_as then
-    rule.high = limit_of(value, "number of messages", true)
+    rule.high = parse_limit(value, "number of messages", true)
     return rule
   end
   local message_name, rest = (name or ""):match("^([^.]+)%.(.+)$")
@@ -109,7 +109,7 @@ local function read_rule(text, catalogue, source)
     M.BY_NAME.check.options)
   local message, names = find(catalogue.messages, message_name)
   rule.message = demand(message, "there is no message %q, but %s", message_name, names)
-  rest, rule.kind = tell_apart(message, rest)
+  rest, rule.kind = find_measure(message, rest)
   if rule.kind then set_limits(rule, value) else add_field(rule, rest, value) end
   return rule
 end
@@ -117,7 +117,7 @@ end
 -- Options -----------------------------------------------------------------------------------------
 
 -- Call a function of a row of LIST.  If it raises a text, note it as a problem of this part.
-local function try(options, part, call, catalogue)
+local function attempt(options, part, call, catalogue)
   local ok, why = pcall(call, options, part, catalogue)
   if ok then return end
   if part == "" then part = "an empty option" end
@@ -130,10 +130,10 @@ local function without_blanks(part, sign)
   return from and trim(part:sub(1, from - 1)) .. sign .. trim(part:sub(to + 1)) or part
 end
 
-local read_check
+local parse_check
 
 -- The rules of a file, one a line.  A # begins a comment, unless it stands in the name of a source.
-local function read_file(options, path, catalogue)
+local function read_rules(options, path, catalogue)
   demand(options.line == "", "a file of rules names no other")
   local file, problem = io.open(path, "rb")
   demand(file, "%s", problem)
@@ -147,7 +147,7 @@ local function read_file(options, path, catalogue)
     local part = trim((" " .. line):gsub("%s#.*", ""))
     if not part:find("^source%s*=") then part = trim(part:gsub("#.*", "")) end
     options.line = ("%s:%d: "):format(path, number_of_line)
-    if part ~= "" then try(options, part, read_check, catalogue) end
+    if part ~= "" then attempt(options, part, parse_check, catalogue) end
   end
   options.line, options.source = "", source
   demand(#options.rules + #options.problems > count, "there is no rule in it")
@@ -156,7 +156,7 @@ local function read_file(options, path, catalogue)
   demand(not unused, NO_RULE, unused)
 end
 
-function read_check(options, part, catalogue)
+function parse_check(options, part, catalogue)
   part = without_blanks(without_blanks(part, "="), "..")
   local name, value = part:match("^(%w+)=(.*)$")
   if name == "junit" or name == "source" or name == "rules" then
@@ -165,11 +165,11 @@ function read_check(options, part, catalogue)
       demand(not options.unused, NO_RULE, options.unused)
       options.unused = part
     end
-    if name == "rules" then return read_file(options, value, catalogue) end
+    if name == "rules" then return read_rules(options, value, catalogue) end
     options[name] = value
   else
     options.unused = nil
-    table.insert(options.rules, read_rule(part, catalogue, options.source))
+    table.insert(options.rules, parse_rule(part, catalogue, options.source))
     options.looks_for_faults = options.looks_for_faults or name == "fault"
     options.judges_unknown = options.judges_unknown or name == "unknown"
   end
@@ -180,7 +180,7 @@ local function finish_check(options, _, catalogue)
   if rules[1] or options.problems[1] then
     -- No rule can check a message that was not decoded.
     if not options.judges_unknown then
-      rules[#rules + 1] = read_rule("unknown=0", catalogue)
+      rules[#rules + 1] = parse_rule("unknown=0", catalogue)
     end
     demand(not options.unused, NO_RULE, "it")
     return
@@ -188,7 +188,7 @@ local function finish_check(options, _, catalogue)
   options.looks_for_faults = true
   for _, kind in ipairs(kinds.RULES) do
     if not kinds.BY_NAME[kind].is_optional then
-      local rule = read_rule(kind .. "=0", catalogue, options.source)
+      local rule = parse_rule(kind .. "=0", catalogue, options.source)
       rule.is_default, rules[#rules + 1] = true, rule
     end
   end
@@ -198,7 +198,7 @@ local function refuse(options)
   demand(false, "the options of %s are %s, filter=EXPRESSION", options.what, options.row.options)
 end
 
-local function read_csv(options, part, catalogue)
+local function parse_csv(options, part, catalogue)
   if not options.folder then
     options.folder = part
     return
@@ -220,8 +220,8 @@ end
 -- title    in menus
 -- new      function(options, context), makes it: see stat.derive
 -- columns  of output.columns
--- options  the words besides filter=EXPRESSION: M.read knows the words without "=" by this text
--- read     function(options, part, catalogue), reads other options; nil if there are none
+-- options  the words besides filter=EXPRESSION: M.parse knows the words without "=" by this text
+-- parse    function(options, part, catalogue), reads other options; nil if there are none
 -- finish   the same, checks all options at the end; nil for no check
 -- help     its meaning, for people
 -- ask      the question of a menu; the answer follows the name
@@ -268,7 +268,7 @@ M.LIST = {
     new = csv.new,
     columns = csv.COLUMNS,
     options = "replace, all, json",
-    read = read_csv,
+    parse = parse_csv,
     finish = finish_csv,
     help = "a CSV for each message, in a new folder",
     ask = "New folder",
@@ -281,7 +281,7 @@ M.LIST = {
     new = check.new,
     columns = check.COLUMNS,
     options = "json, junit=FILE, source=NAME, rules=FILE",
-    read = read_check,
+    parse = parse_check,
     finish = finish_check,
     help = "whether all is well, or rules hold",
     ask = "Rules (empty: check everything)",
@@ -293,14 +293,14 @@ M.BY_NAME = {}
 for _, row in ipairs(M.LIST) do M.BY_NAME[row.name] = row end
 
 -- words  the options without "="
-local function read_part(options, part, words, catalogue)
+local function parse_part(options, part, words, catalogue)
   -- A message may have the name of an option: csv,-,all prints the message all.
   local is_message = options.folder == "-" and not options.chosen and
     find(catalogue.messages, part)
   if words[part] and not is_message then
     options[part] = true
   else
-    try(options, part, options.row.read or refuse, catalogue)
+    attempt(options, part, options.row.parse or refuse, catalogue)
   end
 end
 
@@ -312,7 +312,7 @@ end
 --            statistics = LIST; folder, chosen = of csv; rules, junit = of check;
 --            looks_for_faults = true if a rule is about faults; problems = list of texts, each
 --            names its option }
-function M.read(text, catalogue)
+function M.parse(text, catalogue)
   local head, filter = text:match("^(.-),%s*filter%s*=(.*)$") -- a display filter, commas and all
   local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")
   what = trim(what or "")
@@ -333,9 +333,9 @@ function M.read(text, catalogue)
   end
   local words = input.set((row.options:gsub("%w+=%w+", ""):gsub(",", "")))
   for part in rest:gmatch(",([^,]*)") do
-    read_part(options, trim(part), words, catalogue)
+    parse_part(options, trim(part), words, catalogue)
   end
-  if row.finish then try(options, options.unused or what, row.finish, catalogue) end
+  if row.finish then attempt(options, options.unused or what, row.finish, catalogue) end
   if filter and not filter:find("%S") then
     table.insert(options.problems, "filter=: the display filter is missing")
   end

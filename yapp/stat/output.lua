@@ -240,7 +240,7 @@ local function width_of(text)
 end
 
 -- Make room in a column for a text.
-local function fit(column, text)
+local function widen(column, text)
   column.width = math.max(column.width, width_of(text))
   column.is_number = column.is_number and not text:find("[^%d.e+-]")
   column.is_empty = column.is_empty and text == ""
@@ -305,7 +305,7 @@ function M.table(context, columns, rows, row_of)
   end
   for _, one in ipairs(rows) do
     local row = row_of(one)
-    for i, text in ipairs(texts_of(cells, row, frames)) do fit(cells[i], text) end
+    for i, text in ipairs(texts_of(cells, row, frames)) do widen(cells[i], text) end
     if frames then frames[#frames + 1] = row.frame or row.gap_max_frame end
   end
   context.out(line_of(cells, titles))
@@ -369,13 +369,13 @@ end
 --- Close files and give them their names.  If one could not be written, remove all of them.
 -- problem  an error of before, nil for none
 -- returns  an error, nil for none
-function M.finish(list, problem)
-  local function note(file, _, why)
+function M.close_files(list, problem)
+  local function keep_problem(file, _, why)
     if why then problem = problem or file.path .. ": " .. why end
   end
   for _, file in ipairs(list) do
-    note(file, nil, file.problem)
-    note(file, file.handle:close())
+    keep_problem(file, nil, file.problem)
+    keep_problem(file, file.handle:close())
   end
   for _, file in ipairs(list) do
     local aside, path = file.aside, file.path
@@ -383,7 +383,7 @@ function M.finish(list, problem)
       os.remove(aside)
     elseif aside ~= path and not os.rename(aside, path) then
       os.remove(path) -- on Windows a rename does not replace a file
-      note(file, os.rename(aside, path))
+      keep_problem(file, os.rename(aside, path))
     end
   end
   return problem
@@ -396,7 +396,7 @@ function M.save(path, text, advice)
   local file, problem = M.create(path, advice)
   if not file then return problem end
   file:write(text)
-  return M.finish { file }
+  return M.close_files { file }
 end
 
 return M

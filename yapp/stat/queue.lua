@@ -53,7 +53,7 @@ function Queue:reset()
   self.has_progress = false -- true if it differs from the packet's before
   self.packets = 0
   self.clocks = {} -- by source, see time_of
-  self:begins(0, 0, 0) -- until a time is known, if ever
+  self:set_begin(0, 0, 0) -- until a time is known, if ever
   self.losses, self.max_losses = {}, MAX_LOSSES -- events that wait, see deliver_losses
   self.seen = {} -- [value that all losses of one message share] = true once one was handed on
   self.undissected = {} -- events, see Queue:add_undissected: they count if messages are dissected
@@ -192,7 +192,7 @@ local function deliver_or_wait(self, event)
   end
 end
 
-local function flush(self)
+local function deliver_waiting(self)
   local waiting = self.waiting
   if not waiting[1] then return end
   for i, event in ipairs(waiting) do
@@ -206,7 +206,7 @@ end
 function Queue:offer(event, visited)
   -- An event of an earlier packet is of a conversation that was unknown when that came.
   if self.is_direct or event.frame <= self.latest then
-    flush(self)
+    deliver_waiting(self)
     return deliver_or_wait(self, event)
   end
   if event.frame ~= self.number or visited ~= self.visited then
@@ -223,7 +223,7 @@ end
 --- Say when the first packet was captured.
 -- seconds, nanoseconds  integers
 -- rel                   the packet's time since the first one: not 0 if a filter rejected the first
-function Queue:begins(seconds, nanoseconds, rel)
+function Queue:set_begin(seconds, nanoseconds, rel)
   self.first = { seconds = seconds, nanoseconds = nanoseconds, rel = rel }
 end
 
@@ -242,7 +242,7 @@ end
 -- taps of packets.  This saves a tenth of csv's time.  Call it from a tap, when no other packet
 -- still waits for its taps.
 -- returns  true if events are handed on at once
-function Queue:go_direct()
+function Queue:begin_direct()
   for _, deriver in ipairs(self.derivers) do
     if deriver.matched or not deriver.options.row.table_only then
       return false
@@ -253,11 +253,11 @@ function Queue:go_direct()
 end
 
 -- Report a packet whose time goes back, or one of several recorders.
-local function report_step(self, number, rel, step, event)
+local function emit_step(self, number, rel, step, event)
   update_time(self, rel, step, event)
   if step >= -MAX_STEP then return end
   local values = { length = output.seconds(step), back = output.seconds(-step) }
-  local clock = kinds.event("clock", number, rel, {}, values)
+  local clock = kinds.new_event("clock", number, rel, {}, values)
   clock.rel = self.now
   for _, deriver in ipairs(self.derivers) do deriver:add(clock) end
 end
@@ -267,7 +267,7 @@ end
 --              packet that the first pass rejected is another's in the second, with another time
 -- lacks_clock  function() -> whether rel is the time of a controller: to go back is no event then
 function Queue:packet(number, rel, lacks_clock)
-  if self.waiting[1] then flush(self) end
+  if self.waiting[1] then deliver_waiting(self) end
   local last = self.last or rel
   self.last, self.latest, self.packets = rel, number, self.packets + 1
   if rel ~= last then self.has_progress = true end
@@ -276,7 +276,7 @@ function Queue:packet(number, rel, lacks_clock)
   if rel >= last and not self.offsets[2] or lacks_clock() then
     self.now = rel + self.offsets[1]
   else
-    report_step(self, number, rel, kinds.span(last, rel), event)
+    emit_step(self, number, rel, kinds.span(last, rel), event)
   end
   if event then self.waiting, self.number = self.offered, nil end
 end
@@ -285,14 +285,14 @@ local function ignore() end
 
 --- Take no more packets: those that come are of another file.
 function Queue:stop()
-  flush(self)
+  deliver_waiting(self)
   self.offer, self.add_undissected, self.packet = ignore, ignore, ignore
 end
 
 -- The end -----------------------------------------------------------------------------------------
 
 -- Return why a capture has no message; nil if it has one.
-local function nothing_found(self, capture)
+local function explain_nothing_found(self, capture)
   local extended = capture.extended
   if self.has_messages then return nil end
   if extended > 0 then
@@ -313,26 +313,26 @@ local function nothing_found(self, capture)
 end
 
 -- Return the traces of YAPP in other packets: a list of texts.
-local function unread_packets(self, capture)
+local function list_undecoded(self, capture)
   if not (capture.certain and capture.certain[1]) then return {} end
   if not self.has_messages then return { "the capture has YAPP that was not decoded" } end
   return { "YAPP in other packets was not decoded: try " .. table.concat(capture.certain, " ") }
 end
 
 -- Return why times of packets mean nothing; nil if they mean something.
-local function lacks_times(self, capture)
+local function explain_times(self, capture)
   if capture.lacks_times then return NO_TIMES end
   return self.packets > 1 and not self.has_progress and EQUAL_TIMES or nil
 end
 
 --- Say that all packets have come: events are handed on at once.
 function Queue:end_packets()
-  flush(self)
+  deliver_waiting(self)
   self.is_direct = true
 end
 
 -- Return the texts of a list, without those that stand there before.
-local function each_once(texts)
+local function without_repeats(texts)
   local list, said = {}, {}
   for _, text in ipairs(texts) do
     if not said[text] then list[#list + 1] = text end
@@ -351,7 +351,7 @@ end
 --          packets were left out, nil if none }
 -- returns  the exit code, and a list of texts to say
 function Queue:finish(capture)
-  flush(self)
+  deliver_waiting(self)
   deliver_losses(self, true)
   for _, event in ipairs(capture.unread and {} or capture.unfinished) do
     deliver(self, event)
@@ -361,10 +361,10 @@ function Queue:finish(capture)
     rel = self.last, -- of the last packet of any kind, nil where there was none
     now = self.last and self.now,
     begin = seconds + nanoseconds / 1e9, -- of the first packet
-    reason = nothing_found(self, capture), -- why no message was found, nil if one was
-    lacks_times = lacks_times(self, capture),
+    reason = explain_nothing_found(self, capture), -- why no message was found, nil if one was
+    lacks_times = explain_times(self, capture),
     -- Wishes of the user that were not met, and why not all was read: texts.
-    problems = joined(self.settings.problems, capture.problems, unread_packets(self, capture)),
+    problems = joined(self.settings.problems, capture.problems, list_undecoded(self, capture)),
     unread = capture.unread, -- the same in short if packets were left out
     drops = capture.drops,
     undissected = self.undissected,
@@ -376,7 +376,7 @@ function Queue:finish(capture)
     if worse and (code == output.EXIT_OK or worse < code) then code = worse end
     texts = joined(texts, { text }, notes)
   end
-  return code, each_once(joined(texts, capture.notes))
+  return code, without_repeats(joined(texts, capture.notes))
 end
 
 return M

@@ -93,7 +93,7 @@ end
 --- End, see stat.derive.
 function Summary:finish(ending, notes)
   local rows, shown, context = {}, {}, self.context
-  for i, group in ipairs(self:sorted()) do
+  for i, group in ipairs(self:sort()) do
     local names, ranges = {}, {}
     for j, values in ipairs(group.values) do
       local row = groups.row(group, values)
@@ -223,9 +223,9 @@ end
 
 -- Return the groups of each message that has several: for people by name, first the message with
 -- most fields, which says most of a controller.
-local function compared(self)
+local function list_compared(self)
   local by_message, lists = {}, {}
-  for _, group in ipairs(self:sorted()) do
+  for _, group in ipairs(self:sort()) do
     local message = group.message
     if message then
       local list = by_message[message] or {}
@@ -240,7 +240,7 @@ local function compared(self)
 end
 
 -- Note which groups of a message fell silent while another one went on.
-local function note_silences(self, list)
+local function mark_silent(self, list)
   local every, last = list[1].message.every, 0
   for _, group in ipairs(list) do last = math.max(last, group.last or 0) end
   for _, group in ipairs(list) do
@@ -251,9 +251,9 @@ end
 
 --- End: print a table for each message.
 function Compare:finish(_, notes)
-  local context, lists = self.context, compared(self)
+  local context, lists = self.context, list_compared(self)
   for i, list in ipairs(lists) do
-    note_silences(self, list)
+    mark_silent(self, list)
     local rows = {}
     for index in ipairs(list[1].values) do add_rows(self, list, index, rows) end
     local title = ("YAPP compare: %d sources of %s"):format(#list, list[1].message.title)

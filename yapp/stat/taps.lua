@@ -48,7 +48,7 @@ Stat.__index = Stat
 --   calls      { begun, ended = numbers }: of these calls since the capture was opened }
 function M.new(parts)
   parts.show = nil -- in Wireshark: function(text), which opens the window of an argument of -z
-  parts.note_progress = nil -- while a window of Wireshark waits for an answer
+  parts.on_progress = nil -- while a window of Wireshark waits for an answer
   parts.total = 0 -- in Wireshark: number of packets in the capture, see count_packets
   return setmetatable(parts, Stat)
 end
@@ -76,7 +76,7 @@ end
 -- Taps ------------------------------------------------------------------------------------------
 
 -- A tap of the packets that a filter lets through, nil for all.
-local function listen(self, filter)
+local function add_tap(self, filter)
   local tap = Listener.new("frame", filter)
   table.insert(self.taps, tap)
   return tap
@@ -85,12 +85,12 @@ end
 -- The tap that asks for the field which has the time to the nanosecond (pinfo.abs_ts has steps of
 -- 0.24 microseconds).
 local function tap_clock(self)
-  local clock = listen(self, CLOCK)
+  local clock = add_tap(self, CLOCK)
   clock.packet = self.counted(function(pinfo)
     if self.is_exact then return end
     for _, info in ipairs { all_field_infos() } do
       if info.name == "frame.time_epoch" then
-        self.queue:begins(info.value.secs, info.value.nsecs, self.buses:time(pinfo))
+        self.queue:set_begin(info.value.secs, info.value.nsecs, self.buses:time(pinfo))
         self.is_exact = true
       end
     end
@@ -100,7 +100,7 @@ end
 
 -- Make the tap that reads CAN headers once tap_packets has removed its own.
 local function tap_headers(self)
-  local tap, deferral = listen(self), self.deferral
+  local tap, deferral = add_tap(self), self.deferral
   tap.packet = self.counted(function(pinfo, tvb) deferral:on_header(pinfo, tvb) end)
   return tap
 end
@@ -108,18 +108,18 @@ end
 -- The exact time is known: remove the tap of the clock, which builds trees.  If a filter has trees
 -- built anyway, it stays: they have CAN ids, too.
 local function end_trees(self, tap, clock)
-  self.builder:only_pass()
+  self.builder:set_only_pass()
   if not self.has_filter then
     clock:remove()
     self.deferral:allow()
   end
-  if self.queue:go_direct() then self.intake:remove_later(tap) end
+  if self.queue:begin_direct() then self.intake:remove_later(tap) end
 end
 
 -- The tap that sees every packet.  In tshark it removes the tap of the clock once the exact time is
 -- known, but in a second pass.
 local function tap_packets(self)
-  local tap, clock, is_waiting = listen(self), tap_clock(self), IS_TSHARK
+  local tap, clock, is_waiting = add_tap(self), tap_clock(self), IS_TSHARK
   local calls, buses, deferral = self.calls, self.buses, self.deferral
   local function lacks_clock() return buses:lacks_clock() end
 
@@ -167,7 +167,7 @@ local function close(self)
 end
 
 -- Return why packets of the capture were not read, nil if all were.
-local function unread_of(self)
+local function explain_unread(self)
   local packets = self.queue.packets
   if not IS_TSHARK then
     return packets < self.total and UNREAD:format(packets, self.total) or nil
@@ -182,7 +182,7 @@ end
 
 -- End all statistics; return the exit code, and a list of texts to say.
 local function finish(self)
-  local failures, unread = self.calls.begun - self.calls.ended, unread_of(self)
+  local failures, unread = self.calls.begun - self.calls.ended, explain_unread(self)
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
   local reading, buses, deferral = self.reading, self.buses, self.deferral
   local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
@@ -205,7 +205,7 @@ end
 -- Functions from here on raise errors.
 
 local function tap_filter(self, filter)
-  local ok, tap = pcall(listen, self, filter)
+  local ok, tap = pcall(add_tap, self, filter)
   if ok then return tap end
   local why = tostring(tap):match("is invalid %- (.*)$") or tap -- before that a line in this file
   error(("the filter %s is not one: %s"):format(filter, why), 0)
@@ -213,8 +213,8 @@ end
 
 -- Begin the statistic of an argument of -z.
 -- context  { out, frames } of output.print
-local function begin(self, text, context)
-  local options, events = options_of.read(text, self.settings.catalogue), self.queue
+local function begin_statistic(self, text, context)
+  local options, events = options_of.parse(text, self.settings.catalogue), self.queue
   -- In tshark, check names errors in its report, too.
   if options.problems[1] and (context.frames or options.what ~= "check") then
     error(table.concat(options.problems, "\n"), 0)
@@ -232,22 +232,22 @@ end
 
 --- Run a statistic over all packets, in Wireshark.
 -- text     as behind -z
--- note_progress  function(number of packets read), called from time to time, or nil
+-- on_progress  function(number of packets read), called from time to time, or nil
 -- returns  its output and the problems, as one text; a list of the frames in it
-function Stat:run(text, note_progress)
+function Stat:run(text, on_progress)
   if self.is_reading then return BUSY, {} end
-  self.is_reading, self.note_progress = true, note_progress
+  self.is_reading, self.on_progress = true, on_progress
   local said, frames = {}, {}
   local function out(chunk) said[#said + 1] = chunk end
   open(self)
   local ok, texts = pcall(function()
-    begin(self, text, { out = out, frames = frames })
+    begin_statistic(self, text, { out = out, frames = frames })
     retap_packets()
     return select(2, finish(self))
   end)
   close(self)
   self.unwatch()
-  self.is_reading, self.note_progress = false, nil
+  self.is_reading, self.on_progress = false, nil
   local answer = table.concat(said)
   for _, problem in ipairs(ok and texts or { tostring(texts) }) do
     if not answer:find(problem, 1, true) then out(problem .. "\n") end
@@ -276,13 +276,13 @@ local function conclude(self)
 end
 
 -- One -z argument.
-local function read_argument(self, text)
+local function begin_argument(self, text)
   if not self.queue then
     open(self)
     local tap = Listener.new("frame") -- for the end alone: tap_packets may remove its own
     function tap.draw() conclude(self) end
   end
-  begin(self, text, { out = function(chunk)
+  begin_statistic(self, text, { out = function(chunk)
     local ok, problem = io.stdout:write(chunk)
     if not ok then self.problem = problem end
   end })
@@ -290,16 +290,16 @@ end
 
 -- Count the packets of a capture in Wireshark, where the user may stop a statistic's reading, and
 -- tell its window how far that is.
--- note_packets  function(), to be called when some have come
-local function count_packets(self, note_packets)
+-- on_packets  function(), to be called when some have come
+local function count_packets(self, on_packets)
   local tap = Listener.new("frame")
   function tap.packet(pinfo)
     local number = pinfo.number
     if number > self.total then self.total = number end
-    if self.note_progress and number % STEP == 0 then self.note_progress(number) end
+    if self.on_progress and number % STEP == 0 then self.on_progress(number) end
   end
   function tap.draw()
-    note_packets()
+    on_packets()
     self.unwatch()
   end
 end
@@ -313,16 +313,16 @@ end
 
 --- Register the menus of Wireshark.
 function Stat:register_menus()
-  local note_packets
-  self.show, note_packets = menu.register(self)
-  count_packets(self, note_packets)
+  local on_packets
+  self.show, on_packets = menu.register(self)
+  count_packets(self, on_packets)
 end
 
 --- Begin the statistic of an argument of -z.
 function Stat:begin(text)
   if self.show then return self.show(text) end
   -- Wireshark swallows an error here, so all that can fail ends with a message and a code.
-  local ok, problem = pcall(read_argument, self, text)
+  local ok, problem = pcall(begin_argument, self, text)
   if not ok then
     say(tostring(problem))
     os.exit(output.EXIT_UNDECIDED)

@@ -110,7 +110,7 @@ end
 -- "can1/0x210=health:left", a part of yapp.sources.
 local function part_of(entry)
   local source = entry.source
-  local address = source_names.address(source.bus, source.id)
+  local address = source_names.address_text(source.bus, source.id)
   return ("%s=%s:%s"):format(address, entry.likes[1].name, source.name or "")
 end
 
