@@ -109,6 +109,23 @@ def test_the_modules_that_the_page_names():
         assert not function or re.search(rf"function [\w.]*[.:]?{function}\(", code), f"{name}: {function}"
 
 
+def test_the_functions_on_the_way_of_one_frame():
+    """Each function in a step stands in the module in front of it."""
+    text = (tshark.ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    steps = re.findall(r"^\| (\d+)\. .*\|(.*)\|$", text, re.M)
+    assert [int(number) for number, _ in steps] == list(range(1, 11))
+    for number, cell in steps:
+        code, count = None, 0
+        for name in re.findall(r"`([^`]+)`", cell):
+            if "/" in name or name == "yapp.lua":
+                path = name if name == "yapp.lua" else f"yapp/{name}.lua"
+                code = (tshark.ROOT / path).read_text(encoding="utf-8")
+            else:
+                count += 1
+                assert re.search(rf"^(?:local )?function {name}\(|^{name} = ", code, re.M), f"step {number}: {name}"
+        assert count, f"step {number} names no function"
+
+
 @pytest.mark.parametrize("lua", LUAS)
 def test_what_is_installed_is_the_same_code(lua, folder):
     """In the same lines, though without comments: the code that Lua makes of it has the number of each line."""
