@@ -276,6 +276,9 @@ def test_the_comparison_sees_each_field(folder):
                 assert Comparison(capture, [*rows[:index], row | {name: wrong}, *rows[index + 1:]]).run(), name
             seen.add(name)
     assert seen >= {"yapp.id", "yapp.crc.status", "yapp.padding", "yapp.fragment", "taurus.motor.dc_voltage"}, seen
+    can_generator.write(path, [*capture.frames[1:], capture.frames[0]], layout)
+    with pytest.raises(AssertionError, match="differences"):
+        compare(SEED, layout, wide, capture, path)
 
 
 @pytest.mark.parametrize("layout", levels.few(can_generator.LAYOUTS, ["interfaces", "merged interface"]))

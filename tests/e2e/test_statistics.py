@@ -30,6 +30,7 @@ CASES += [(seed, flights.LINKS, passes) for seed in (SEEDS[0], SEEDS[-1]) for pa
 PASSES["half told"] = ("-2", "-Y", "frame.interface_id == 0")
 CASES += [(1, "sll2", "half told")]
 ONCE = [case for at, case in enumerate(CASES) if at % 2 == at // 2 % 2]  # each flight and form, in one pass or in two
+assert {case[:2] for case in ONCE} == {case[:2] for case in CASES}
 CHECKED = pytest.mark.parametrize("seed, form, passes", levels.few(CASES, [*ONCE, CASES[-1]], several=True))
 
 
