@@ -1185,7 +1185,8 @@ function T.test_a_source_whose_stamps_stand_still()
   local cleared = { flags = { { field = FAULT, value = 0, raised = 0, cleared = 1 } } }
   local records = { record(1, 1, { change = raised(1, 1) }), record(2, 1), record(3, 1, { change = cleared }),
     record(4, 1, { source = HEALTHY }), record(5, 2, { source = HEALTHY }) }
-  local text = "time stamps of can0 0x210 stand still: how long faults, gaps and silences lasted is not known"
+  local text = "time stamps of can0 0x210 stand still: how long faults, gaps and silences lasted is not known, " ..
+    "and a message that was recorded twice counts twice"
   for _, row in ipairs { { 2, text }, { 0, nil } } do -- or all of it in one packet
     for i, one in ipairs(records) do one.frame = row[1] > 0 and i or 1 end
     local printed, _, texts = run({ "faults,json" }, records)

@@ -25,7 +25,8 @@ local M = {}
 local new_event, span, NOTHING = kinds.new_event, kinds.span, kinds.NOTHING
 local MAX_HELD = 64 -- events of a source, more than there are until it shows that it is shared
 local MAX_GAP = 1.5 -- periods; a longer gap has room for another message
-local NO_SPANS = "how long faults, gaps and silences lasted is not known"
+local NO_SPANS = "how long faults, gaps and silences lasted is not known, " ..
+  "and a message that was recorded twice counts twice"
 local EQUAL_STAMPS = "time stamps of %s stand still: " .. NO_SPANS
 local LEFT_OUT = "changes of faults, reboots and gaps are unreliable and left out"
 local UNRELIABLE = "nothing tells the buses of %s apart: " .. LEFT_OUT
