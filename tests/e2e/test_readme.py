@@ -141,6 +141,8 @@ def test_its_filters_are_filters():
     filters = [text.replace("\\|", "|") for cell in cells for text in re.findall(r"`([^`]+)`", cell)]
     assert len(filters) >= 8
     assert_are_filters(filters)
+    with pytest.raises(AssertionError):
+        assert_are_filters([*filters, "taurus.no_such_field"])
 
 
 def test_the_filters_of_the_help():

@@ -47,6 +47,8 @@ def assert_complete(folder, is_clean=True):
 
 
 def test_threads(fleet):
+    with pytest.raises(AssertionError):
+        assert_complete(fleet)
     done = convert(fleet, "--jobs", 4)
     assert done.returncode == 0, done.stderr
     assert_complete(fleet)

@@ -70,7 +70,10 @@ def test_read_has_every_value_and_every_event(flight):
     assert (len(read["health"]), len(read["command"])) == (truth.health, truth.command)
     motor = read["motor"]
     columns = (motor[name].to_pylist() for name in ("bus", "id", "rpm_measured"))
-    assert_speeds(zip(motor["time"].cast("int64").to_pylist(), *columns, strict=True), truth)
+    found = list(zip(motor["time"].cast("int64").to_pylist(), *columns, strict=True))
+    assert_speeds(found, truth)
+    with pytest.raises(AssertionError):
+        assert_speeds([*found[1:], (*found[0][:3], 77.7)], truth)
     hot = [row[4] for row in sorted(truth.motor)]
     specials = motor.sort_by("time")["esc_temperature_special"].to_pylist()
     assert specials == [{flights.NAN8: "nan", flights.ABOVE8: "above"}.get(raw) for raw in hot]
