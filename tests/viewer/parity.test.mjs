@@ -56,7 +56,7 @@ function compared(lines, path) {
     .filter((line) => IS_SAME || !/…|[0-9a-f]{60}\]?$/.test(line)); // 4.0 cuts long values earlier
 }
 
-const isOurs = (row) => row.split("\t").at(-2) === "YAPP";
+const isOurs = (row) => row.split("\t")[2] !== ""; // the column of yapp.source
 // tshark puts generated items into brackets; 4.4.5 writes no blank behind […], and another name of UTC.
 const tidy = (text) => text.replace(/[ \t]+/g, " ").trim().replace(/^\[(.*)\]$/, "$1").replace(/\[…\] /, "[…]")
   .replace("Coordinated Universal Time", "UTC");
@@ -176,7 +176,7 @@ test("the comparison saw something, and sees what differs", () => {
   const seen = (...lines) => compared(lines, FLIGHT).map(tidy);
   assert.deepEqual(seen(head, first), [head, "ID: 0x210"]);
   assert.deepEqual(seen(head, other), [head, "ID: 0x211"]);
-  assert.ok(isOurs("1\t0.1\t\tYAPP\tMotor Data") && !isOurs("1\t0.1\t\tCAN\tID: 1"));
+  assert.ok(isOurs("1\t0.1\t0x210\t\tMotor Data") && !isOurs("1\t0.1\t\t\tID: 1"));
   assert.ok(Object.values(counted).every((count) => count > 0), JSON.stringify(counted));
   console.log(`compared with tshark ${version}: ${chosen.length} captures, ${counted.rows} rows, ${counted.lines} lines of trees, ` +
     `${counted.statistics} statistics, ${counted.filters} filters`);
