@@ -281,6 +281,16 @@ def test_the_comparison_sees_each_field(folder):
         compare(SEED, layout, wide, capture, path)
 
 
+def test_the_comparison_sees_messages_of_merged_buses(folder):
+    capture, path = make_one(SEED, "merged interface", False), folder / "random.pcap"
+    capture.write(path)
+    rows = list(show(capture, path))
+    assert Comparison(capture, rows).run() == []
+    index, row = next((index, row) for index, row in enumerate(rows) if row["yapp.crc.status"] == "1" and row["taurus.motor.dc_voltage"])
+    for wrong in ({"taurus.motor.dc_voltage": "77"}, {"yapp.fragment": row["frame.number"]}):
+        assert Comparison(capture, [*rows[:index], row | wrong, *rows[index + 1:]]).run(), wrong
+
+
 @pytest.mark.parametrize("layout", levels.few(can_generator.LAYOUTS, ["interfaces", "merged interface"]))
 def test_filters(layout, folder):
     """A display filter and a read filter do not change what a frame is."""
