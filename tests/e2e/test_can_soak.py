@@ -286,8 +286,8 @@ def test_the_comparison_sees_messages_of_merged_buses(folder):
     capture.write(path)
     rows = list(show(capture, path))
     assert Comparison(capture, rows).run() == []
-    index, row = next((index, row) for index, row in enumerate(rows) if row["yapp.crc.status"] == "1" and row["taurus.motor.dc_voltage"])
-    for wrong in ({"taurus.motor.dc_voltage": "77"}, {"yapp.fragment": row["frame.number"]}):
+    index, row = next((index, row) for index, row in enumerate(rows) if row["yapp.crc.status"] == "1" and row["yapp.payload"])
+    for wrong in ({"yapp.payload": "77"}, {"yapp.fragment": row["frame.number"]}):
         assert Comparison(capture, [*rows[:index], row | wrong, *rows[index + 1:]]).run(), wrong
 
 

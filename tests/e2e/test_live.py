@@ -6,6 +6,7 @@ import fcntl
 import fnmatch
 import glob
 import importlib
+import io
 import os
 import pathlib
 import pty
@@ -201,10 +202,10 @@ def test_interfaces():
         assert len(lines) == 2 or lines[2:] == ["interface {value=yapp-can}{display=YAPP CAN adapter}"]
 
 
-@pytest.mark.parametrize("interface, number", [("yapp-serial", 252), ("yapp-can", 227)])
-def test_link_types(interface, number):
-    out, _ = spoken("--extcap-dlts", "--extcap-interface", interface)
-    assert out.startswith(f"dlt {{number={number}}}") and out.count("\n") == 1
+@pytest.mark.parametrize("interface, link", [("yapp-serial", "{number=252}{name=WIRESHARK_UPPER_PDU}{display=YAPP serial port}"),
+                                             ("yapp-can", "{number=227}{name=CAN_SOCKETCAN}{display=YAPP CAN adapter}")])
+def test_link_types(interface, link):
+    assert spoken("--extcap-dlts", "--extcap-interface", interface)[0] == f"dlt {link}\n"
 
 
 @pytest.mark.parametrize("interface, calls", [("yapp-serial", ["port", "baud", "parity", "stopbits", "second"]),
@@ -238,6 +239,39 @@ def test_which_ports_there_are(extcap, monkeypatch):
     there = [*ports, "/dev/tty0", "/dev/tty.usbserial-1", "/dev/console", "/dev/null"]
     monkeypatch.setattr(glob, "glob", lambda pattern: fnmatch.filter(there, pattern))
     assert extcap.serial_ports() == ports
+
+
+def test_an_empty_slot(extcap, monkeypatch):
+    """Of ttyS alone: it is there without hardware."""
+    monkeypatch.setattr(extcap, "open", lambda path, **more: io.StringIO("0\n" if path.endswith(("S0/type", "USB0/type")) else "4\n"),
+                        raising=False)
+    found = ["/dev/ttyS0", "/dev/ttyS1", "/dev/ttyUSB0"]
+    assert [extcap.is_empty_slot(path) for path in found] == [True, False, False]
+
+
+@pytest.mark.parametrize("executable, apt, command", [
+    ("/usr/bin/python3", "/usr/bin/apt", "sudo apt install python3-can"), ("/usr/bin/python3", None, "/usr/bin/python3 -m pip install python-can"),
+    ("/opt/bin/python3", "/usr/bin/apt", "/opt/bin/python3 -m pip install python-can")])
+def test_what_installs_a_package(extcap, monkeypatch, executable, apt, command):
+    monkeypatch.setattr(extcap.sys, "executable", executable)
+    monkeypatch.setattr(extcap.shutil, "which", lambda name: apt)
+    assert str(extcap.needed("python-can", "python3-can")) == f"python-can is needed: {command}"
+
+
+def test_a_port_that_is_there_is_proposed(extcap, monkeypatch):
+    monkeypatch.setattr(extcap, "serial_ports", lambda: ["/dev/ttyACM7"])
+    with pytest.raises(extcap.Problem, match="port:/dev/ttyACM7$"):
+        next(extcap.serial_packets("", None))
+
+
+@pytest.mark.parametrize("more, packet", [
+    ({"is_remote_frame": True, "data": bytes(4), "dlc": 4}, "40000123 04 00 0000"),  # an adapter may give it zeros
+    ({"is_fd": True, "error_state_indicator": True}, "00000123 02 06 0000 3132"),
+    ({"is_fd": True, "bitrate_switch": True}, "00000123 02 05 0000 3132")], ids=["remote", "ESI", "BRS"])
+def test_what_a_can_frame_becomes(extcap, more, packet):
+    usual = dict.fromkeys(["is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator"], False)
+    message = types.SimpleNamespace(**{**usual, "arbitration_id": 0x123, "dlc": 2, "data": b"12", **more})
+    assert extcap.can_packet(message) == bytes.fromhex(packet)
 
 
 @pytest.mark.parametrize("text, is_locked", [("own", True), ("1999999999\n", False), ("nobody", False), (None, False)])
