@@ -202,6 +202,13 @@ def test_interfaces():
         assert len(lines) == 2 or lines[2:] == ["interface {value=yapp-can}{display=YAPP CAN adapter}"]
 
 
+@pytest.mark.parametrize("spec, found", [(None, ["yapp-serial"]), ("can", ["yapp-serial", "yapp-can"])])
+def test_can_adapters_need_python_can(extcap, monkeypatch, capsys, spec, found):
+    monkeypatch.setattr(extcap.importlib.util, "find_spec", lambda name: spec)
+    extcap.list_interfaces()
+    assert re.findall(r"interface \{value=([\w-]+)\}", capsys.readouterr().out) == found
+
+
 @pytest.mark.parametrize("interface, link", [("yapp-serial", "{number=252}{name=WIRESHARK_UPPER_PDU}{display=YAPP serial port}"),
                                              ("yapp-can", "{number=227}{name=CAN_SOCKETCAN}{display=YAPP CAN adapter}")])
 def test_link_types(interface, link):
