@@ -4,7 +4,8 @@ import re
 import subprocess
 
 MAX_FIRST = 6  # tests that run first
-FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+?::.+?)(?: - .*)?$", re.MULTILINE)
+# A name may have " - " between its brackets; behind it stands why it failed.
+FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+?::[^\[\s]+(?:\[.*?\](?= - |$))?)", re.MULTILINE)
 
 
 def failed_test(suite, command=("pytest-3",), **options):
