@@ -559,7 +559,7 @@ end
 -- Starts that another one supersedes, of random Seq.
 function T.test_starts_of_random_seq_cost_little()
   local random, known, before = stream_generator.random(1), words.new(), nil
-  local count = levels.size(20000, 100000)
+  local count = levels.size(10000, 100000)
   for number = 1, count do
     words.visit(known, { can_id = words.can_id(0x210, 1, 0, random(256) - 1), number = number,
       data = words.start(0x210, "", { size = 32, wrong = random(2) == 1 }) })
@@ -578,7 +578,7 @@ function T.test_the_only_pass_keeps_nothing()
     return list
   end
   for _, text in ipairs { "S32 M8 M8 M8 E8", "S32 S32 M8 M8 M8 E8 E8", "S32/7 M8 E8" } do
-    local bytes = kept_bytes(words.new(), levels.size(6000, 20000), frames(text))
+    local bytes = kept_bytes(words.new(), levels.size(3000, 20000), frames(text))
     lu.assertTrue(bytes < 40, ("%s: %.0f bytes a frame"):format(text, bytes))
   end
   local text = "S32 M8 M8 M8 E8 S32 M8 M8 E8 S32 M8 M8 M8 E8"
@@ -607,7 +607,7 @@ function T.test_a_message_that_never_ends()
     end
     local middle = { can_id = words.can_id(0x123, 2), data = "12345678",
       bus = bus > 0 and bus or nil }
-    local bytes = kept_bytes(known, levels.size(30000, 120000), { middle }, 3)
+    local bytes = kept_bytes(known, levels.size(15000, 120000), { middle }, 3)
     -- each frame says that it is one too many
     lu.assertTrue(bytes < 600, ("%.0f bytes a frame"):format(bytes))
   end
