@@ -213,6 +213,18 @@ function T.test_show_frames()
   lu.assertStrContains(last(seen.filters), " 1000}")
 end
 
+-- The folder of the user's files: on Windows another variable has it.
+function T.test_where_a_file_is_saved()
+  local show, getenv = menu(), os.getenv
+  show("yapp,events")
+  for folder, name in pairs { ["/home/x"] = "HOME", ["C:/x"] = "USERPROFILE", ["."] = "neither" } do
+    rawset(os, "getenv", function(asked) return asked == name and folder or nil end)
+    last(seen.windows).buttons.Save()
+    rawset(os, "getenv", getenv)
+    lu.assertEquals(last(seen.dialogs).row.value, folder .. "/yapp-events.txt")
+  end
+end
+
 function T.test_save()
   local show = menu()
   show("yapp,events")

@@ -156,6 +156,13 @@ function T.test_other_sources_that_do_not_advance()
     { 0.6, "a", sent } }, { "-", "-", "-", 3, 3 })
   lu.assertEquals(found { { 0, "a", sent }, { 0, "a", sent }, { 0.01, "m", third }, { 0, "a", sent } },
     { "-", 1, "-", 1 })
+  local copies, times = new(false, true), { 0, 0, 0.02, 0 } -- of 20 ms, which is an advance
+  for i, source in ipairs { sent, third, third, sent } do
+    local message = { key = i, time = times[i], payload = source == sent and "a" or i, source = source, seq = 0 }
+    lu.assertNil(copies:find(message, true))
+    message.key, message.payload, message.source = 9, "a", sent
+    if i == 2 then lu.assertEquals(copies:find(message, true), 1) end
+  end
 end
 
 return T

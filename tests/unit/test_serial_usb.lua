@@ -69,6 +69,7 @@ function T.test_the_other_direction()
       local line = self:read_packet(kind, make(BULK, endpoint, "abc")).line
       local other = name == "rx" and "tx" or "rx"
       lu.assertEquals({ line.name, line.opposite }, { "usb1.6.1#" .. name, "usb1.6.1#" .. other })
+      lu.assertIs(self:read_packet(kind, make(BULK, endpoint, "def")).line, line)
     end
   end)
 end
@@ -101,6 +102,7 @@ function T.test_status_of_ftdi()
       { { descriptors(0x0403, 64) }, 64, "\241" }, { { descriptors(0x0403, 64) }, 64, "\2" },
       { { descriptors(0x0403, 64) }, 64, "\0" }, { { descriptors(0x0403, 512 + 0x800) }, 512, "\2" },
       { { make(CONTROL, 0x80, "\18\3" .. ("x"):rep(16)) }, 64, "\1" }, -- a text of 18 bytes is no device
+      { { device, make(CONTROL, 0x80, "\4\3ab" .. configuration(0x81, 512):sub(-7)) }, 64, "\0" }, -- no endpoint
       { {}, 64, "\1" }, { {}, 512, "\50" }, { { device }, 512, "\2" }, -- the status says it
     } do
       local packets = row[1]
