@@ -249,6 +249,8 @@ function T.test_relative_stamps_of_nanoseconds()
   local found = frames("base hex timestamps relative\n" .. ("0.001000600 1 123 Rx d 0\n"):rep(1000))
   lu.assertEquals({ #found, found[1].nanoseconds, found[5].nanoseconds }, { 1000, 1000000, 5003000 })
   lu.assertEquals({ found[1000].seconds, found[1000].nanoseconds }, { 1, 600000 })
+  found = frames("base hex timestamps relative\n" .. ("0.001000 1 123 Rx d 0\n"):rep(1000))
+  lu.assertEquals({ found[1000].seconds, found[1000].nanoseconds }, { 1, 0 })
 end
 
 -- Without a base, that in which more lines are frames.

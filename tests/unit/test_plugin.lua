@@ -527,7 +527,7 @@ function T.test_decode_as_on_can()
     return protos.yapp_all.dissector(tvb, pinfo, "root")
   end
   said["frames.dissect"], said["frames.dissect_without_id"] = 8, 5
-  lu.assertEquals({ dissect(7, 8), dissect(nil, 8), dissect(nil, 0) }, { 8, 5, 0 })
+  lu.assertEquals({ dissect(7, 8), dissect(nil, 1), dissect(nil, 0) }, { 8, 5, 0 })
   is_unknown = false
   lu.assertEquals(dissect(nil, 8), 0)
   lu.assertEquals(#calls_of("socketcan.wrap"), 4)
