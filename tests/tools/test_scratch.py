@@ -22,7 +22,9 @@ def dead_pid():
 def test_a_killed_run_is_cleaned_by_the_next_and_one_that_lives_is_not(tmp_path):
     names = {dead_pid(): False, os.getpid(): True}
     for pid in names:
-        (tmp_path / f"work-abc-{scratch.HOST}-{pid}-xyz").mkdir()
+        path = tmp_path / f"work-abc-{scratch.HOST}-{pid}-xyz"
+        path.mkdir()
+        os.utime(path, (0, 0))  # a run may take days
     old = tmp_path / f"work-abc-another_{scratch.HOST}-1-xyz"
     old.mkdir()
     (tmp_path / "work-of-mine").mkdir()

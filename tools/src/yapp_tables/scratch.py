@@ -59,6 +59,7 @@ def _is_dead(match: re.Match[str], folder: Path) -> bool:
             return True
         except OSError:  # of another user: it lives
             pass
+        return False
     try:
         return time.time() - folder.stat().st_mtime > LEFTOVER_SECONDS
     except OSError:

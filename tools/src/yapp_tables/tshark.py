@@ -17,6 +17,7 @@ from typing import Any
 
 from .errors import CaptureError, SetupError, YappError
 from .install import NOT_AS_ROOT, ask, find_tshark, version_of
+from .quick_start import environment
 from .scratch import scratch
 from .undecoded import undecoded
 
@@ -25,9 +26,6 @@ INSTALL_PLUGIN = "install it (yapp-tables install) or name it with --plugin PATH
 # An empty capture: a pcap header (SocketCAN, 64 KB packets) and no packet.
 EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e3000000")
 PLUGIN_SAYS = "yapp: "
-# Memory in few large pieces, of pages of 2 MB: tshark takes 3 to 5 % less time with glibc 2.35, 7 % less for a small
-# capture. Other systems ignore it.
-LARGE_PIECES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1", "MALLOC_TOP_PAD_": str(64 << 20)}
 SAME_PLUGIN = re.compile(r"\((.*)\) is not loaded: .* \(\1\) is already there$")  # --plugin, and it is installed
 UNDECODED = re.compile(r"^\d+ messages? (was|were) (not decoded|decoded in part)")
 # Nothing is missing then: the second message is left out.
@@ -144,7 +142,7 @@ class Tshark:
 
     def _environment(self) -> dict[str, str]:
         own = {"YAPP_MESSAGES": os.path.abspath(self.catalogue)} if self.catalogue else {}
-        return LARGE_PIECES | os.environ | own
+        return environment(self._program(), needs_names=self.filter is not None) | own
 
     def _reading(self, capture: Path) -> list[str]:
         command = [self._program(), "-r", str(capture.resolve())]
