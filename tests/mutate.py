@@ -28,6 +28,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 
 import reach
@@ -227,13 +228,13 @@ def passes_suites(folder, path, python, suites):
     return not (any(map(run, suites)) if is_package(path) else known[path].failed_test(suites, run))
 
 
-def survives(folder, path, mutant, tests, seconds, python, suites):
+def survives(folder, path, mutant, tests, seconds_of, python, suites):
     """Whether all tests pass with a mutant in a copy of the tree: the unit tests in the CPU seconds that they need, and more,
     then the suites."""
     whole = (folder / path).read_text()
     (folder / path).write_text(mutant)
     try:
-        return (all(passes(folder, test, math.ceil(2 + 5 * seconds[test]), [program]) for program in LUAS for test in tests) and
+        return (all(passes(folder, test, math.ceil(2 + 5 * seconds_of(test)), [program]) for program in LUAS for test in tests) and
                 passes_suites(folder, path, python, suites))
     except subprocess.TimeoutExpired:
         return False
@@ -280,24 +281,27 @@ def main():
     equivalent = {tuple(line.split("\t")[:3]) for line in (ROOT / "tests/equivalent_mutants.txt").read_text().splitlines()}
 
     def tests_of(path):
-        """Those that load the module: first those that name it, the quick ones first."""
-        name = ".".join(path.with_suffix("").parts)
-        return sorted((test for test in TESTS if path in loads[test]),
-                      key=lambda test: (f'"{name}"' not in (ROOT / test).read_text(), seconds[test]))
+        """Those that load the module: first those that name it, the short ones first."""
+        name, texts = ".".join(path.with_suffix("").parts), {test: (ROOT / test).read_text() for test in TESTS if path in loads[test]}
+        return sorted(texts, key=lambda test: (f'"{name}"' not in texts[test], len(texts[test])))
 
     score, start = {}, time.monotonic()
     with tempfile.TemporaryDirectory(prefix="yapp-mutants-") as folder, \
             concurrent.futures.ThreadPoolExecutor(options.jobs) as pool:
-        free = copies(options.jobs, pathlib.Path(folder))
-        whole = free.get()
+        free = copies(options.jobs + 1, pathlib.Path(folder))
+        whole, measuring = free.get(), threading.Lock()
         modules = options.modules or (other_modules(loads) if options.other else loaded_modules(loads))
-        for test in (test for test in TESTS if loads[test] & set(modules)):  # in a copy, where a file may be missing; what takes long may fail once
-            before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-            assert passes(whole, test, 600, LUAS[:1]) or passes(whole, test, 600), f"{test} fails without a mutant"
-            seconds[test] = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
         reached = reached_lines(whole, options) if any(map(is_package, modules)) else None
 
-        free.put(whole)
+        def seconds_of(test):
+            """The CPU seconds that a test takes in a copy without a mutant, where a file may be missing; measured once."""
+            with measuring:
+                if test not in seconds:
+                    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+                    # What takes long may fail once.
+                    assert passes(whole, test, 600, LUAS[:1]) or passes(whole, test, 600), f"{test} fails without a mutant"
+                    seconds[test] = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
+                return seconds[test]
 
         def suites(path, line):
             if is_package(path):
@@ -309,7 +313,7 @@ def main():
         def judge(path, line, before, after, mutant):
             copy = free.get()
             try:
-                return line, before, after, survives(copy, path, mutant, tests_of(path), seconds, options.python, suites(path, line))
+                return line, before, after, survives(copy, path, mutant, tests_of(path), seconds_of, options.python, suites(path, line))
             finally:
                 free.put(copy)
 
