@@ -59,6 +59,11 @@ function T.test_what_bytes_look_like()
   local own = catalogue.compile { { name = "own", title = "Own", id = 1, size = 2,
     { "a", "uint8", "A", group = "a", flags = all }, { "b", "uint8", "B", group = "b", flags = all } } }
   lu.assertFalse(decode.is_plausible(own.by_id[1], "\1\1"))
+  for count = 1, 3 do -- of fields with values that nothing defines two are enough
+    local entry = { name = "own", title = "Own", id = 1, size = count }
+    for i = 1, count do entry[i] = { "f" .. i, "uint8", "F", values = { [0] = "Off", "On" } } end
+    lu.assertEquals(decode.is_plausible(catalogue.compile({ entry }).by_id[1], ("\1"):rep(count)), count > 1)
+  end
 end
 
 -- The value nearest to 0 V is at 43,687 counts, as the table says.

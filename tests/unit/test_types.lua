@@ -150,6 +150,7 @@ function T.test_the_shortest_digits_of_four_bytes()
       lu.assertTrue(#("%.9g"):format(short) <= #("%.9g"):format(value))
     end
   end
+  lu.assertEquals(shortest(4194306 * 2 ^ -149), 5.877475e-39) -- below 2^-126 a float has fewer bits
 end
 
 function T.test_parts_of_bits()
