@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Live ports: extcap/yapp_extcap.py on a pseudo terminal, and CAN on python-can's virtual bus; by itself, and under the real
 tshark.  Every byte that is written comes out, in order; and whatever ends a capture is said."""
+import argparse
 import contextlib
 import fcntl
 import fnmatch
@@ -629,6 +630,30 @@ def test_a_signal_ends_it_when_nobody_reads_on(folder, port):
         wait_for(lambda: not queued(port))
     _, errors = extcap.end()
     assert re.fullmatch(r"YAPP: Wireshark did not read in time: \d+ packets are not in the capture\. .*\n", errors)
+
+
+def test_how_long_a_reader_may_take(extcap, monkeypatch):
+    """A signal is seen within WAIT.  From then on a reader that reads nothing in STUCK ends the capture."""
+    waited = []
+
+    class Writer(threading.Thread):
+        """Has never written all, and a signal comes as somebody waits for it."""
+
+        def start(self):
+            pass
+
+        def is_alive(self):
+            return True
+
+        def join(self, timeout=None):
+            waited.append(timeout)
+            capture.options.stop.set()
+
+    monkeypatch.setattr(extcap.signal, "signal", lambda *_: None)
+    capture = extcap.Capture(extcap.Interface("title", 0, "", list, lambda _: []), argparse.Namespace())
+    capture.writer = Writer()
+    capture.run()
+    assert waited == [extcap.WAIT, extcap.STUCK] and extcap.WAIT < 1 < extcap.STUCK
 
 
 def queued(port):
