@@ -110,7 +110,7 @@ local function visit(capture, one, with)
   frame.key, frame.time = number * frame_key.PACKET + 16, with.time or number / 1000
   frame.number = number
   frame.can_id = can_id.fields[one[1]]
-  frame.seq, frame.data, frame.reported = frame.can_id.seq, one[2], with.reported or #one[2]
+  frame.data, frame.reported = one[2], with.reported or #one[2]
   for _, name in ipairs { "visited", "bus", "accepts_all", "is_only_pass", "wants_state" } do
     frame[name] = with[name] or false
   end
@@ -386,6 +386,10 @@ function T.test_a_serial_line()
     "skipped 5, single good Motor Data, 20 pending")
   lu.assertEquals(results_in_words(visit_packet(capture, 0, HEALTH_FRAME .. "bytes" .. BAD_FRAME)),
     "single good Health, skipped 5, single bad Motor Data (copy of 2)")
+  local odd = generator.sealed(MOTOR_FRAME:sub(1, 11) .. "\1" .. MOTOR_FRAME:sub(13, -5)) -- its reserved bytes
+  local result = visit_packet(capture, 0, odd).results[1]
+  lu.assertEquals({ in_words(result), result.transfer.reserved },
+    { "single good Motor Data+reserved.nonzero", odd:byte(12) * 256 + odd:byte(11) })
   lu.assertEquals({ capture.events[1], capture.events[2], capture.events[4] },
     { "skipped line @1", "message Motor Data @1", "crc Motor Data @2" })
 end
@@ -468,9 +472,10 @@ local function finish(capture, may_go_on)
 end
 
 function T.test_the_end()
-  local capture, list = new_capture(), frames_of(MOTOR, 1, payload_of(MOTOR, 1))
+  local capture, list = new_capture(), frames_of(MOTOR, 9, payload_of(MOTOR, 1))
   add_all(capture, { list[1], list[2] })
   visit_packet(capture, 0, MOTOR_FRAME:sub(1, 20))
+  lu.assertEquals(capture.reading:finish(false)[1].frame.seq, 9)
   lu.assertEquals(finish(capture, false), { "unfinished Motor Data @2", "unfinished Motor Data @3" })
   capture = new_capture()
   add_all(capture, list)
