@@ -97,16 +97,6 @@ def test_nothing_else_lies_there():
         assert (make.read(path.stem).link in make.CAN_LINKS) == (path.parent.name == "can"), path
 
 
-def test_the_page_of_the_captures_names_each():
-    page = (tshark.CAPTURES / "README.md").read_text()
-    named = re.findall(r"(?m)^\| `([^`]+)` \|", page)
-    files = {path.stem for folder in ("can", "serial", "candump", "own_messages") for path in (tshark.CAPTURES / folder).iterdir()}
-    files |= {path.stem for path in (tshark.CAPTURES / "fuzz").iterdir()}
-    folders = {name for name in named if name.endswith("/")}
-    assert set(named) - folders == files and len(named) == len(set(named))
-    assert folders == {f"{path.name}/" for path in tshark.CAPTURES.iterdir() if path.is_dir() and path.name != "__pycache__"}
-
-
 # What is shown ---------------------------------------------------------------------------------------------------
 
 # Where each frame stands alone, a display filter has nothing to change.

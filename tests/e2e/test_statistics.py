@@ -417,9 +417,9 @@ local function list(rows, keys)
   end
 end
 if arg[2] == "kinds" then
-  list(require("yapp.stat.kinds").LIST, { "name", "keys", "is_optional", "counts_as", "scope", "is_counted_only" })
+  list(require("yapp.stat.kinds").LIST, { "name", "keys", "is_optional", "counts_as", "needs_time", "scope", "is_counted_only" })
 else
-  list(require(arg[2] == "measures" and "yapp.stat.measures" or "yapp.stat.options").LIST, { "name", "text", "help" })
+  list(require(arg[2] == "measures" and "yapp.stat.measures" or "yapp.stat.options").LIST, { "name", "text", "help", "needs_time" })
 end
 """
 
@@ -456,9 +456,19 @@ def test_the_document_has_every_rule_about_a_message():
     rows = dict(re.findall(r"^\| `(motor\.[^`=]*)=[^`]*` \| (.*?) \|$", PAGE.partition("| rule |")[2], re.M))
     measures = rows_of("measures")
     assert len(measures) > 4
-    for _, text, help_ in measures:
+    for _, text, help_, _ in measures:
         rule = text.partition("=")[0].replace("MESSAGE", "motor").replace("FIELD", "dc_voltage")
         assert re.sub(r"\[(\w+)\]\(.*?\)", r"\1", rows[rule]).startswith(help_)
+
+
+def test_the_lists_of_rules_in_the_document():
+    """The words of rules that a field may have, too, and the rules about time."""
+    of_message = [name for name, text, *_ in rows_of("measures") if text.startswith(f"MESSAGE.{name}=")]
+    about_time = {row[0] for what, index in (("kinds", -3), ("measures", -1)) for row in rows_of(what) if row[index] == "true"}
+    assert len(of_message) > 2 and len(about_time) > 4
+    listed = [re.search(shape, PAGE)[1] for shape in (r"A field of your own may be called ([^.]*)\.", r"A rule is about time \((.*?)\)")]
+    assert set(re.findall(r"`(\w+)`", listed[0])) == set(of_message)
+    assert set(re.findall(r"`(\w+)`", listed[1])) == about_time
 
 
 @pytest.mark.parametrize("what", WHATS)

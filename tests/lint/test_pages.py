@@ -56,3 +56,13 @@ def test_links(page):
         titles = [re.sub(r"[^\w -]", "", title).strip().lower().replace(" ", "-")
                   for title in re.findall(r"^#+ (.*)", path.read_text(), re.M)] if anchor else []
         assert not anchor or anchor in titles, anchor
+
+
+def test_the_page_of_the_captures_names_each():
+    """A row in test_captures/README.md for each capture and each folder."""
+    top = TOP / "test_captures"
+    named = re.findall(r"(?m)^\| `([^`]+)` \|", (top / "README.md").read_text())
+    folders = {f"{path.name}/" for path in top.iterdir() if path.is_dir() and path.name != "__pycache__"}
+    captures = {path.stem for name in ("can", "serial", "candump", "own_messages", "fuzz") for path in (top / name).iterdir()}
+    assert len(captures) > 60 and len(named) == len(set(named))
+    assert set(named) == captures | folders

@@ -1462,10 +1462,15 @@ end
 function T.test_packets_without_time_stamps()
   local with = { lacks_times = true }
   local records = { record(1, 0), record(2, 0, { change = { stale = true, jump = 2 } }) }
+  local judged = {}
   for _, rule in ipairs { "silence=0", "motor.rate=1", "motor.rate=..9", "motor.gap=1", "motor.volts.spread=1", "stale=0", "jump=0" } do
     local printed, code = run({ "check," .. rule }, records, with)
     lu.assertEquals(code, 21, rule)
     lu.assertStrContains(printed, "packets of this capture have no time stamps")
+    judged[rule:match("(%l+)=")] = true
+  end
+  for _, rows in ipairs { kinds_of.LIST, require("yapp.stat.measures").LIST } do
+    for _, row in ipairs(rows) do lu.assertEquals(judged[row.name], row.needs_time, row.name) end
   end
   lu.assertEquals(select(2, verdicts("fault=0,crc=0,motor.count=2,motor.volts=..10", records, with)), 0)
   lu.assertEquals(run({ "events,json" }, records, with), "")

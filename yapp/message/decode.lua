@@ -18,8 +18,7 @@ local MAX_KEPT = 100 -- bytes of a payload in local variables: a function has up
 -- The reader of a message is made from Lua source: a loop over the fields takes 5 % more of a
 -- packet list.  The first bytes of a payload are in b1, b2, ...; a missing one is nil.
 local READER = [[
-local FIELDS, byte, kinds = ...
-local band, value_of, is_undefined = kinds.band, kinds.value_of, kinds.is_undefined
+local FIELDS, byte, ENV = ...
 return function(payload)
 local raws, remarks, a = { %s }, false
 local %s = byte(payload, 1, %d)
@@ -27,7 +26,6 @@ local %s = byte(payload, 1, %d)
 return raws, remarks
 end]]
 local REMARK = "if %s then remarks = remarks or {} FIELDS[%d]:remark(a, remarks) end"
-
 
 -- Return the lines that read the i-th field of a message.
 local function field_source(field, i)
@@ -65,7 +63,7 @@ function M.new_reader(message)
   local source =
     format(READER, concat(nils, ", "), concat(names, ", "), #names, concat(lines, "\n"))
   local read = load(source, "=reader of " .. message.name)
-  return read(message.fields, byte, field_kinds.ENVIRONMENT)
+  return read(message.fields, byte, field_kinds.ENV)
 end
 
 --- Return whether bytes look like a message: all its values are defined, and at least two of its

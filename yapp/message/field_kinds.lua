@@ -231,14 +231,18 @@ local function remark_flags(field, raw, remarks)
   end
 end
 
--- The condition of each as source, in which a is the raw value and FIELDS[i] the field:
+-- The condition of each as source of the reader that message.decode makes.  It may use a, the raw
+-- value; FIELDS[i], the field; raws, those of the fields before it; and the functions of ENV.
+
+--- The functions of the conditions: ENV.band in source is M.ENV.band here.
+M.ENV = { band = bits.band, value_of = M.value, is_undefined = is_undefined }
 
 local function code_source(field, i)
-  return field.invalid and format("is_undefined(FIELDS[%d], a)", i)
+  return field.invalid and format("ENV.is_undefined(FIELDS[%d], a)", i)
 end
 
 local function special_source(_, i)
-  return format("not value_of(FIELDS[%d], a)", i)
+  return format("not ENV.value_of(FIELDS[%d], a)", i)
 end
 
 local function float_source(field, i)
@@ -247,11 +251,8 @@ local function float_source(field, i)
 end
 
 local function flags_source(field)
-  return format("a ~= 0 and band(a, %d) ~= 0", bits.bor(field.alarm_bits, field.undefined))
+  return format("a ~= 0 and ENV.band(a, %d) ~= 0", bits.bor(field.alarm_bits, field.undefined))
 end
-
---- The functions that the conditions call, by name.
-M.ENVIRONMENT = { band = bits.band, value_of = M.value, is_undefined = is_undefined }
 
 -- The kinds ---------------------------------------------------------------------------------------
 

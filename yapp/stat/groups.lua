@@ -253,13 +253,15 @@ function Groups:add_event(event, now, cause)
   end
 end
 
---- Return the mean rate in Hz, nil where no two messages are at two times; and the mean gap in
--- seconds.
-function M.pace(group)
-  local gaps = group.count - 1
-  if gaps < 1 then return nil end
-  local length = span(group.first, group.last)
-  return length > 0 and gaps / length or nil, length / gaps
+--- Return the mean gap in seconds, nil for fewer than two messages.
+function M.mean_gap(group)
+  return group.count > 1 and span(group.first, group.last) / (group.count - 1) or nil
+end
+
+--- Return the mean rate in Hz, nil where no two messages are at two times.
+function M.rate(group)
+  local length = group.count > 1 and span(group.first, group.last) or 0
+  return length > 0 and (group.count - 1) / length or nil
 end
 
 --- Return a row with the range of a field of a source.

@@ -22,7 +22,7 @@ local SAME_SEQ = {
 }
 
 local function measure_rate(group)
-  local rate = groups.pace(group) or group.count == 1 and 0 or nil
+  local rate = groups.rate(group) or group.count == 1 and 0 or nil
   if not rate then return nil, nil, "no two messages at different times" end
   return rate, group.last_frame
 end

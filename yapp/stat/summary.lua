@@ -11,37 +11,43 @@ local output = require "yapp.stat.output"
 
 local M = {}
 
--- Besides, `kind` is the kind of event that a column counts.
+-- Besides, a column has
+--   kind   the kind of event that it counts; or
+--   value  function(group) -> its value; needs_time = true if it means nothing without time stamps
 local COLUMNS = output.columns {
   { "who" },
   { "bus" },
   { "id" },
   { "source" },
   { "message" },
-  { "count", type = "integer", help = "good messages" },
-  { "rate", type = "number", unit = "Hz",
+  { "count", type = "integer", value = function(group) return group.count end,
+    help = "good messages" },
+  { "rate", type = "number", unit = "Hz", needs_time = true, value = groups.rate,
     help = "(count - 1) / (last - first)" },
   { "gap_min", type = "seconds", unit = "s", where = "json text", title = "gap/s min",
+    needs_time = true, value = function(group) return output.seconds(group.gap_min) end,
     help = "the shortest time between two messages" },
   { "gap_mean", type = "seconds", unit = "s", where = "json text", title = "mean",
+    needs_time = true, value = function(group) return output.seconds(groups.mean_gap(group)) end,
     help = "the mean" },
-  { "gap_max", type = "seconds", unit = "s", title = "max",
-    short = "gap/s", help = "the longest" },
+  { "gap_max", type = "seconds", unit = "s", title = "max", short = "gap/s",
+    needs_time = true, value = function(group) return output.seconds(group.gap_max) end,
+    help = "the longest" },
   { "gap_max_frame", type = "integer", where = "json text", title = "in frame",
+    needs_time = true, value = function(group) return group.gap_max_frame end,
     help = "the message behind the longest gap" },
-  { "crc_bad", type = "integer", kind = "crc", title = "bad CRC",
-    short = "CRC",
+  { "crc_bad", type = "integer", kind = "crc", title = "bad CRC", short = "CRC",
     help = "messages with a bad CRC" },
-  { "incomplete", type = "integer", kind = "incomplete",
-    short = "lost",
+  { "incomplete", type = "integer", kind = "incomplete", short = "lost",
     help = "messages without their beginning, with bytes missing, truncated or unfinished" },
   { "late", type = "integer", kind = "late",
     help = "silences between two messages" },
-  { "silent", where = "text window", title = "silent/s at the end",
-    short = "silent/s" }, -- JSON has it as an event
+  -- JSON has it as an event.
+  { "silent", where = "text window", title = "silent/s at the end", short = "silent/s",
+    value = function(group) return group.silent end },
   { "reboots", type = "integer", kind = "reboot", where = "json text",
     help = "how often the controller's clock went back" },
-  { "values", type = "values", where = "json",
+  { "values", type = "values", where = "json", -- Summary:finish works it out
     help = "of each field of numbers `min`, `mean` and `max`" },
   { "invalid", type = "integer", kind = "invalid", where = "json text",
     help = "messages with a value that the catalogue does not define" },
@@ -76,16 +82,13 @@ local Summary = groups.class { follows_changes = true }
 M.new = Summary.new
 
 local function row_of(group, ending)
-  local row = output.row(group.source, { count = group.count })
-  if not ending.lacks_times then
-    local rate, gap_mean = groups.pace(group)
-    row.rate, row.gap_mean = rate, output.seconds(gap_mean)
-    row.gap_min, row.gap_max = output.seconds(group.gap_min), output.seconds(group.gap_max)
-    row.gap_max_frame = group.gap_max_frame
-  end
-  row.silent = group.silent
+  local row = output.row(group.source, {})
   for _, column in ipairs(COLUMNS.all) do
-    if column.kind then row[column.key] = group.counts[column.kind].seen end
+    if column.kind then
+      row[column.key] = group.counts[column.kind].seen
+    elseif column.value and not (column.needs_time and ending.lacks_times) then
+      row[column.key] = column.value(group)
+    end
   end
   return row
 end

@@ -66,6 +66,7 @@ help        kind    what the catalogue says of the flag
 """)
 FAULT = ("time", "frame", "bus", "id", "source", "controller", "message", "field", "flag", "event", "active", "help")
 FAULTS = {name: EVENTS[name] for name in FAULT}
+# A newer column of the plugin is not listed here: columns_of adds it, as fields.json describes it.
 SUMMARY = _columns(f"""
 {WHO.strip()}
 count         int64   good messages
