@@ -243,4 +243,10 @@ function T.test_save()
   os.remove(path)
 end
 
+function T.test_a_proposed_file_has_no_blanks()
+  menu()("yapp,csv,tables")
+  last(seen.windows).buttons.Save()
+  lu.assertStrContains(last(seen.dialogs).row.value, "/yapp-export-tables.txt")
+end
+
 return T
