@@ -86,7 +86,7 @@ def test_a_flight_that_was_recorded_twice(folder, how, share):
 
         def compared(rows):
             return [[row[key] for key in keys] for row in rows]
-        assert once and compared(twice) == compared(once)
+        assert compared(once) and compared(twice) == compared(once)
         copies, total = sum(row["copies"] for row in twice), sum(row["count"] for row in once)
         assert copies >= total if share == 1 else 0.1 * total < copies < 0.4 * total
         assert sum(row["copies"] for row in once) == 0
