@@ -430,7 +430,8 @@ function T.test_deferred_frames()
   lu.assertIs(seen.tables.wtap_encap[125], before, "no wrapper any more")
   lu.assertEquals(seen.asked, false)
   lu.assertNil(seen.frame)
-  frames.deferral:on_header(packet(3), buffer(record(EXTENDED + MOTOR, zeros)))
+  frames:dissect(buffer(DATA, nil, 40), packet(3), nil, MOTOR, false) -- a later one of the packet
+  frames.deferral:on_header(packet(3, { visited = true }), buffer(record(EXTENDED + MOTOR, zeros))) -- as in every tap
   lu.assertEquals({ seen.frame.data, seen.frame.visited, seen.frame.number }, { zeros, false, 3 })
   lu.assertEquals({ frames.deferral.can, frames.deferral.extended, frames.deferral.number }, { 1, 1, false })
   seen.frame = nil

@@ -252,6 +252,24 @@ function T.test_the_current_segment()
   lu.assertEquals({ inside[1] == seen[1], inside[2], tcp.current(1) }, { true, nil, nil })
 end
 
+-- A tunnel has TCP in TCP: behind the inner segment the outer one is current again.
+function T.test_a_segment_in_a_segment()
+  local tcp, _, seen = watched()
+  tcp.stop()
+  local proto, depth, current = {}, 0, nil
+  tables["ip.proto"][6].call = function()
+    depth = depth + 1
+    if depth == 1 then
+      proto.dissector(segment(16, 20, "inner"), { number = 1, abs_ts = 5 }, {})
+      current = tcp.current(1)
+    end
+    return 3
+  end
+  tcp.watch(proto, function(one) seen[#seen + 1] = one end)
+  proto.dissector(segment(16, 20, "outer one"), { number = 1, abs_ts = 5 }, {})
+  lu.assertEquals({ seen[1].length, seen[2].length, current == seen[2] }, { 5, 9, true })
+end
+
 -- TCP's dissector throws past Lua: its call never returns, so that the next packet finds it inside.
 function T.test_a_watch_that_is_thrown_past_ends()
   local tcp, proto, _, dissect = watched()

@@ -164,8 +164,9 @@ function T.test_copy_as_candump()
     { record("\0\0\1\35", 1, 6, "\1"), 0x123, "123##201" },
     { record("\0\0\1\35", 1, 3, "\1"), 0x123, "123#01" },
   }
-  for _, bus in ipairs { "", "can1" } do
+  for _, bus in ipairs { "", "can1", [[a"b\c]] } do
     menu({ sources = "" })
+    lu.assertEquals(seen.fields["YAPP/Copy message as candump"], "can.id")
     local tap
     _G.Listener = { new = function(_, filter)
       tap = { filter = filter, remove = function() tap = nil end }
