@@ -32,7 +32,8 @@ def test_a_preference_that_cannot_be_read(what):
 
 def test_nothing_is_wrong_without_it():
     taps = [argument for what in FORMS for argument in ("-z", f"yapp,{what}")]
-    assert tshark.run("-q", "-r", CLEAN, *taps, check=False).returncode == 0
+    done = tshark.run("-q", "-r", CLEAN, *taps, check=False)
+    assert done.returncode == 0 and all(f"YAPP {name}: " in done.stdout for name in model.IN_TEXT)
 
 
 @pytest.mark.parametrize("options, said", [
@@ -133,7 +134,7 @@ def test_files_of_an_earlier_capture_do_not_count(folder):
     for name in ("run_00002_20200101000000.pcapng", "run_00003_x.pcapng", "other_00002_29991231235959.pcapng"):
         (folder / name).write_bytes(b"")
     done, _ = capture(folder, ["--ring-buffer", "packets:1000"], "-qz", "yapp,faults")
-    assert done.returncode == 0, done.stdout
+    assert done.returncode == 0 and "YAPP faults: " in done.stdout, done.stdout
 
 
 def test_a_failed_rule_stays_failed_where_more_packets_cannot_mend_it(folder):
