@@ -595,6 +595,14 @@ def test_a_single_frame_of_another_size(folder):
 
 
 @pytest.mark.parametrize("option", [("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp_all")])
+def test_a_message_of_another_size_counts_once(option):
+    """Decode As asks for it after the table of ids has refused it."""
+    done = tshark.run("-q", "-r", tshark.CAPTURES / "can/wrong_size.pcap", *option, "-z", "yapp,events,json", check=False)
+    counts = [(row["id"], row["size"], row["count"]) for row in map(json.loads, done.stdout.splitlines()) if row["kind"] == "unknown"]
+    assert counts == [(0, 6, 1), (0, 8, 1), (0x210, 31, 1), (0x200, 8, 1)]
+
+
+@pytest.mark.parametrize("option", [("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp_all")])
 @pytest.mark.parametrize("form", ["log", "log of two buses", "pcapng"])
 def test_single_frames_of_an_unknown_id_where_all_frames_are_yapp(folder, option, form):
     """They are shown as bytes, so they count as not decoded: from the first packet on, though nothing tells its CAN id."""
