@@ -57,7 +57,7 @@ local function run(path, step)
     if kind ~= "last" then return end
     if message.status == "good" then count = count + 1 end
     if step == "reassembly" then return end
-    local m = messages:read(records.new_message(), frame, message)
+    local m = messages:read(frame, message)
     if step == "info" then local _ = m.source.label .. "  " .. m.source.write(m.raws) end
   end)
   return count

@@ -36,6 +36,7 @@ local function message(with)
   m.key = m.number * frame_key.PACKET + 16
   local of_type = m.of or MESSAGE
   m.raws, m.remarks = of_type.read(m.payload)
+  m.remarks = m.remarks or {}
   return m
 end
 

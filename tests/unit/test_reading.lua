@@ -86,13 +86,13 @@ end
 local function assert_named(result)
   if not result then return end
   for record, new in pairs { [result] = records.new_result(), [result.frame] = records.new_can_frame(),
-    [result.message or {}] = records.new_message() } do
+    [result.message or {}] = records.new_message(result.frame, result.transfer or {}) } do
     for key in pairs(record) do lu.assertTrue(new[key] ~= nil or key == "kind" or key == "frame", key) end
   end
 end
 
 function T.test_a_new_record_says_nothing()
-  for _, record in ipairs { records.new_can_frame(), records.new_message(), records.new_result() } do
+  for _, record in ipairs { records.new_can_frame(), records.new_result() } do
     for key, value in pairs(record) do
       local nothing = key == "is_bus_known" and true or key == "status" and "good" or false
       lu.assertTrue(value == nothing or value == 0 or value == "", key)
@@ -181,7 +181,7 @@ function T.test_messages_on_can()
   local capture = new_capture()
   local single = visit(capture, frames_of(COMMAND, 7, payload_of(COMMAND, 1))[1])
   lu.assertEquals(in_words(single), "single good Command")
-  lu.assertEquals({ single.message.seq, single.message.size, single.message.key, single.transfer.status },
+  lu.assertEquals({ single.message.seq, single.transfer.size, single.message.key, single.transfer.status },
     { 7, 7, frame_key.PACKET + 16, "good" })
   lu.assertEquals({ single.index, single.is_usual }, { false, false }) -- its key is none
   local list, kinds = frames_of(MOTOR, 9, payload_of(MOTOR, 3)), {}

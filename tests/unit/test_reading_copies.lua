@@ -20,11 +20,9 @@ end
 local function found(rows, lacks_clock)
   local copies, list = new(lacks_clock), {}
   for key, row in ipairs(rows) do
-    local message = { key = key, time = row[1] + 1, payload = row[2], source = row[3] or MOTOR, seq = row[4] or 0,
-      visited = false }
-    list[key] = copies:find(message, false) or "-"
-    message.visited = true
-    lu.assertEquals(copies:find(message, false) or "-", list[key]) -- a revisit finds the same
+    local message = { key = key, time = row[1] + 1, payload = row[2], source = row[3] or MOTOR, seq = row[4] or 0 }
+    list[key] = copies:find(message, false, false) or "-"
+    lu.assertEquals(copies:find(message, true, false) or "-", list[key]) -- a revisit finds the same
   end
   return list
 end
@@ -57,7 +55,7 @@ function T.test_damaged_messages()
   for key, crc in ipairs { 0, 7, 7, 8, 0 } do -- the first message comes after the first packet
     local message = { key = key, time = key / 1000, payload = "a", source = MOTOR, seq = 0,
       status = crc > 0 and "bad" or "good", transfer = { crc = crc } }
-    list[key] = copies:find(message, true) or "-"
+    list[key] = copies:find(message, false, true) or "-"
   end
   lu.assertEquals(list, { "-", "-", 2, "-", 1 })
   lu.assertNil(next(copies.originals)) -- nobody asks again
@@ -67,7 +65,7 @@ end
 function T.test_a_number_that_is_used_again()
   local copies = new()
   local function look(key, time, payload, visited)
-    return copies:find({ key = key, time = time, payload = payload, source = MOTOR, seq = 0, visited = visited }, false)
+    return copies:find({ key = key, time = time, payload = payload, source = MOTOR, seq = 0 }, visited, false)
   end
   look(1, 0.0005, "a", false)
   lu.assertEquals(look(2, 0.001, "a", false), 1)
@@ -79,7 +77,7 @@ end
 function T.test_the_first_message()
   local copies = new()
   local function find(key)
-    return copies:find({ key = key, time = 0.0005, payload = "a", source = MOTOR, seq = 0 }, true)
+    return copies:find({ key = key, time = 0.0005, payload = "a", source = MOTOR, seq = 0 }, false, true)
   end
   lu.assertNil(find(9))
   lu.assertEquals(find(10), 9)
@@ -119,7 +117,7 @@ function T.test_captures_without_times()
   lu.assertEquals(found({ { 0, "a" }, { 0, "a" } }, true), { "-", "-" })
   local copies, list = new(), {}
   for key, time in ipairs { 0, 0, 0, 5, 5 } do
-    list[key] = copies:find({ key = key, time = time, payload = "a", source = MOTOR, seq = 0 }, true) or "-"
+    list[key] = copies:find({ key = key, time = time, payload = "a", source = MOTOR, seq = 0 }, false, true) or "-"
   end
   lu.assertEquals(list, { "-", "-", "-", "-", 4 })
 end
@@ -129,7 +127,7 @@ function T.test_the_first_message_of_a_capture_twice()
   for stamps_differ, expected in pairs { [true] = { "-", 1, 1 }, [false] = { "-", "-", "-" } } do
     local copies, list = new(false, stamps_differ), {}
     for key = 1, 3 do
-      list[key] = copies:find({ key = key, time = 0, payload = "a", source = MOTOR, seq = 0 }, true) or "-"
+      list[key] = copies:find({ key = key, time = 0, payload = "a", source = MOTOR, seq = 0 }, false, true) or "-"
     end
     lu.assertEquals(list, expected)
   end
@@ -159,9 +157,9 @@ function T.test_other_sources_that_do_not_advance()
   local copies, times = new(false, true), { 0, 0, 0.02, 0 } -- of 20 ms, which is an advance
   for i, source in ipairs { sent, third, third, sent } do
     local message = { key = i, time = times[i], payload = source == sent and "a" or i, source = source, seq = 0 }
-    lu.assertNil(copies:find(message, true))
+    lu.assertNil(copies:find(message, false, true))
     message.key, message.payload, message.source = 9, "a", sent
-    if i == 2 then lu.assertEquals(copies:find(message, true), 1) end
+    if i == 2 then lu.assertEquals(copies:find(message, false, true), 1) end
   end
 end
 

@@ -5,7 +5,6 @@ local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local frame_key = require("yapp.base.frame_key")
 local messages_of = require("yapp.reading.messages")
-local records = require("yapp.reading.records")
 local sources = require("yapp.message.sources")
 local types_of = require("yapp.message.types")
 
@@ -54,7 +53,7 @@ local function read(of_type, bytes, with)
     key = with.key or 7 * frame_key.PACKET, time = 1, visited = with.visited or false,
     is_bus_known = with.is_bus_known ~= false, is_only_pass = false, wants_state = with.wants_state or false }
   local transfer = { status = with.status or "good", size = with.size or of_type.size, payload = payload }
-  return messages:fill(records.new_message(), frame, transfer), table.concat(asked, " ")
+  return messages:read(frame, transfer), table.concat(asked, " ")
 end
 
 local function at(message, field) return message.by_name[field].offset end
@@ -62,12 +61,12 @@ local function at(message, field) return message.by_name[field].offset end
 function T.test_what_a_message_gets()
   local m = read(HEALTH, { [at(HEALTH, "board_revision")] = 9 }, { answer = { add = { missing = 1 }, delta = 1 } })
   local revision = m.raws[HEALTH.by_name.board_revision.index]
-  lu.assertEquals({ m.source.message, revision, m.remarks, m.has_fault, m.change, m.delta },
-    { HEALTH, 9, false, false, { missing = 1 }, 1 })
+  lu.assertEquals({ m.source.message, revision, m.remarks[1] or false, m.change, m.delta },
+    { HEALTH, 9, false, { missing = 1 }, 1 })
   for _, with in ipairs { { id = 0x123 }, { size = 16 }, { status = "incomplete" }, { status = "overrun" },
     { size = 18, status = "bad" } } do
     m = read(HEALTH, {}, with)
-    lu.assertEquals({ m.raws, m.remarks, m.has_fault, m.undecoded }, { false, false, false, false })
+    lu.assertEquals({ m.raws, m.remarks[1] or false, m.undecoded }, { false, false, false })
   end
 end
 
@@ -84,7 +83,7 @@ end
 -- A firmware that appended something: what the catalogue knows counts, the next message is clean.
 function T.test_a_longer_payload()
   local m = read(MOTOR, { [at(MOTOR, "fault_flags")] = 1 }, { size = 36 })
-  lu.assertEquals({ m.raws[MOTOR.by_name.fault_flags.index], m.has_fault, m.undecoded }, { 1, true, 4 })
+  lu.assertEquals({ m.raws[MOTOR.by_name.fault_flags.index], m.remarks.has_fault, m.undecoded }, { 1, true, 4 })
   lu.assertFalse(read(MOTOR).undecoded)
 end
 
@@ -97,7 +96,7 @@ function T.test_a_shorter_payload()
   local types = new_types(catalogue.compile(entries))
   for size = 29, 33 do
     local messages = messages_of.new(types, history_of({ delta = 1 }, {}), copies_of())
-    local m = messages:fill(records.new_message(),
+    local m = messages:read(
       { source = types:new_source(0x210, false), key = 1, visited = false, is_bus_known = true },
       { size = size, payload = ("\1"):rep(size), status = size == 31 and "bad" or "good" })
     found[#found + 1] = ("%d %s %s"):format(size, m.raws and "read" or "bytes", m.undecoded or "-")
@@ -111,7 +110,7 @@ function T.test_what_is_usual()
     { false, MOTOR, {}, { size = 36 } }, { false, HEALTH, {}, { status = "bad" } },
     { false, HEALTH, {}, { id = 0x123 } },
     { false, HEALTH, {}, { copy_of = 5 } }, { false, HEALTH, {}, { answer = { add = { late = 1 }, delta = 1 } } } } do
-    lu.assertEquals(read(row[2], row[3], row[4]).is_usual, row[1])
+    lu.assertEquals(messages_of.is_usual((read(row[2], row[3], row[4]))), row[1])
   end
 end
 
@@ -136,7 +135,7 @@ function T.test_a_copy()
   local m, asked = read(MOTOR, { [at(MOTOR, "fault_flags")] = 1 }, { copy_of = 5, wants_state = true,
     answer = { add = { late = 1 }, delta = 1 } })
   lu.assertEquals({ m.copy_of, m.change, m.delta, m.state, asked }, { 5, false, false, false, "" })
-  lu.assertTrue(m.has_fault) -- it is decoded
+  lu.assertTrue(m.remarks.has_fault) -- it is decoded
   m = read(MOTOR, {}, { copy_of = 5, status = "truncated" }) -- its bytes prove nothing
   lu.assertFalse(m.copy_of)
 end
@@ -159,9 +158,9 @@ function T.test_what_is_a_fault()
   local fault, status, state = at(MOTOR, "fault_flags"), at(MOTOR, "status_flags"), at(MOTOR, "motor_state")
   for _, row in ipairs { { {}, false }, { { [fault] = 1 }, true }, { { [fault + 2] = 0x08 }, true }, -- undefined
     { { [status] = 2 }, false }, { { [state] = 0x1F }, false }, { { [state] = 0x20 }, true } } do
-    lu.assertEquals(read(MOTOR, row[1]).has_fault, row[2])
+    lu.assertEquals(read(MOTOR, row[1]).remarks.has_fault or false, row[2])
   end
-  lu.assertFalse(read(COMMAND).has_fault) -- a key that is none
+  lu.assertNil(read(COMMAND).remarks.has_fault) -- a key that is none
 end
 
 -- The first unknown message of an ID with a known size gets the whole advice, also on a revisit.
@@ -170,14 +169,14 @@ function T.test_what_an_unknown_message_is_like()
   local function like(with)
     with.messages = messages
     local m = read(MOTOR, {}, with)
-    return { m.like and m.like.name, m.is_advised }
+    return m.like and { m.like.type.name, m.like.is_advised }
   end
   lu.assertEquals(like { id = 0x123, key = 7 }, { "motor", true })
   lu.assertEquals(like { id = 0x123, key = 7, visited = true }, { "motor", true })
   lu.assertEquals(like { id = 0x123, key = 8 }, { "motor", false })
-  lu.assertEquals(like { id = 0x124, size = 5 }, { false, false })
-  lu.assertEquals(like { id = 0x124, status = "bad" }, { false, false })
-  lu.assertEquals(like {}, { false, false }) -- it is known
+  lu.assertEquals(like { id = 0x124, size = 5 }, false)
+  lu.assertEquals(like { id = 0x124, status = "bad" }, false)
+  lu.assertEquals(like {}, false) -- it is known
 end
 
 return T

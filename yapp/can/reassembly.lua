@@ -399,7 +399,7 @@ end
 --- Keep the message that the newest frame has ended for revisits.
 -- has_fault  true if it has a fault flag set
 function Reassembly:keep(message, has_fault)
-  message.has_fault = has_fault
+  message.has_fault = has_fault or false
   self.store:keep(message)
 end
 

@@ -235,8 +235,10 @@ end
 -- says nothing of it.
 -- bus, id, interface  as of Sources:name
 function Sources:message(bus, id, interface)
-  for _, of_bus in ipairs(bus and rows_of(self, bus, interface) or {}) do
-    if of_bus[id] then return of_bus[id].message end
+  if bus then
+    for _, of_bus in ipairs(rows_of(self, bus, interface)) do
+      if of_bus[id] then return of_bus[id].message end
+    end
   end
   local row = self.by_bus[false][id]
   return row and row.message

@@ -92,11 +92,12 @@ function Copies:can_judge(time)
 end
 
 --- Find the original of a message, in the order of the capture.
--- message       of reading.messages; on a revisit, return the same as before
+-- message       of reading.messages
+-- visited       true on a revisit: then return the same as before
 -- is_only_pass  true if it is never asked for again
 -- returns       frame key of the message that it is a copy of; nil if it is none
-function Copies:find(message, is_only_pass)
-  if message.visited then return self.originals[message.key] end
+function Copies:find(message, visited, is_only_pass)
+  if visited then return self.originals[message.key] end
   if not self.is_timed then return nil end
   local list, time, text = self.by_source[message.source], message.time, text_of(message)
   if not list then

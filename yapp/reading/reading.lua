@@ -64,11 +64,9 @@ function Reading:reset(options)
   end)
   self.newest_key = 0 -- of the newest frame: one above it is new
   self.saw_unknown_bus = false -- true if a frame came whose bus is not known
-  -- Of the current frame, used again as that is: the result of a plain fragment, that of others,
-  -- and its message.
+  -- Of the current frame, used again as that is: the result of a plain fragment, and of others.
   self.plain = records.new_result("fragment", false)
   self.result = records.new_result("other", false)
-  self.message = records.new_message()
   -- Streams:
   self.streams = streams.new(function() return self:new_framer() end, can_judge)
   self.lines = lines.new(self.types, self.buses)
@@ -86,9 +84,9 @@ end
 
 -- Read the message that a frame ends.
 local function end_message(self, of_frame, kind, transfer)
-  local message = self.messages:fill(self.message, of_frame, transfer)
+  local message = self.messages:read(of_frame, transfer)
   local is_kept = kind == "single" or of_frame.visited or of_frame.is_only_pass
-  if not is_kept then self.reassembly:keep(transfer, message.has_fault) end
+  if not is_kept then self.reassembly:keep(transfer, message.remarks.has_fault) end
   return message
 end
 
@@ -107,7 +105,7 @@ local function new_frame_result(self, of_frame, kind, transfer, anomalies, index
   result.anomalies = anomalies or false
   result.index = index or false
   result.is_usual = not anomalies and #of_frame.data == of_frame.reported and
-    (not message or message.is_usual)
+    (not message or messages.is_usual(message))
   return report(self, result)
 end
 
@@ -226,7 +224,8 @@ local function finding_result(self, packet, finding, index)
   local of_frame = records.new_serial_frame(packet, index, source, seq)
   local result = records.new_result("single", of_frame)
   result.transfer, result.anomalies = transfer, anomalies
-  result.message = self.messages:fill(records.new_message(), of_frame, transfer)
+  result.message = self.messages:read(of_frame, transfer)
+  result.is_usual = not anomalies and messages.is_usual(result.message)
   return result
 end
 

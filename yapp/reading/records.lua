@@ -5,6 +5,8 @@
 
 local M = {}
 
+local NONE = {} -- to be read only
+
 --- Make the record of a CAN frame.  It is used again for the next frame, which saves a tenth of a
 -- packet list: keep no reference to it.
 function M.new_can_frame()
@@ -46,34 +48,30 @@ function M.new_serial_frame(packet, index, source, seq)
   }
 end
 
---- Make the record of a message, which reading.messages fills in.  That of a CAN message is used
--- again for the next one, which saves 3 % of a packet list: keep no reference to it.
-function M.new_message()
-  return {
-    transfer = false,
-    source = false, -- see message.types
-    seq = 0,
-    key = 0, -- of the frame that ends it
-    number = 0, -- of its packet
-    time = 0, -- seconds since the first packet
-    visited = false,
-    status = "good", -- of the transfer
-    size = 0, -- as its header has it
-    payload = "", -- the bytes of it that came
+--- Make the record of the message of a transfer, which reading.messages fills in.
+-- frame  that ends it
+function M.new_message(frame, transfer)
+  return { -- Lua makes room for 16 fields or for 32: more than 16 cost 2 % of a packet list
+    transfer = transfer,
+    source = frame.source, -- see message.types
+    seq = frame.seq,
+    key = frame.key,
+    time = frame.time, -- seconds since the first packet
+    status = transfer.status,
+    payload = transfer.payload, -- the bytes of it that came
     raws = false, -- the values by index of field (message.decode); false if the size does not fit
-    remarks = false, -- the remarkable values (message.decode), false for none
-    has_fault = false, -- true if a fault flag is set
+    remarks = NONE, -- the remarkable values (message.decode)
     undecoded = false, -- number of payload bytes behind the type's size, false for none
-    like = false, -- of an unknown message: the type that has its size, false for none
+    -- Of an unknown message: { type = that has its size, is_advised = true if Info says in full
+    -- which preference decodes it }; false if no type has its size.
+    like = false,
     copy_of = false, -- frame key of the message that it is a copy of, or false
-    is_advised = false, -- true if Info says in full which preference decodes it
-    is_usual = false, -- true if it is good and decoded, and has nothing else to show
     -- Of message.history:
     change = false, -- the change, or false
     delta = false, -- seconds since the source's previous good message, or false
     state = false, -- the state at the message, or false if it is not known or not wanted
     -- True if its past is not known: nothing tells its bus, or controllers share its source.
-    is_unreliable = false,
+    is_unreliable = not (frame.visited or frame.is_bus_known),
   }
 end
 
@@ -92,7 +90,7 @@ function M.new_result(kind, frame)
     anomalies = false, -- list of { expert, text, ... }, see can.reassembly; or false
     index = false, -- of the frame in its transfer, on a revisit; or false
     length = 0, -- number of bytes: of skipped ones; size of an undissected message
-    is_usual = false, -- true if it needs no expert item; known of CAN frames
+    is_usual = false, -- true if it needs no expert item
   }
 end
 

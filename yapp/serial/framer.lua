@@ -25,6 +25,7 @@
 
 local crc = require "yapp.wire.crc"
 local frame = require "yapp.wire.frame"
+local memo = require "yapp.base.memo"
 
 local M = {}
 
@@ -47,6 +48,9 @@ local PATIENCE, NOISE_PATIENCE = 4096, 128
 -- ones cannot spend the credit of small ones.
 local CREDIT = 2
 local MAX_CREDIT = 4 * frame.LARGEST
+local CLASSES = memo(function(length) return math.floor(math.log(length, 2)) end)
+
+local SYNC_REGISTER = crc.of(frame.SYNC) -- behind the first bytes of each frame
 
 local Framer = {}
 Framer.__index = Framer
@@ -129,10 +133,10 @@ end
 -- Return whether a header may be that of a message, its size, and whether its ID is known.
 local function read_header(self, text, index)
   local id, size, reserved = frame.parse(text, index)
-  if not id then return false end
+  if not id or reserved ~= 0 or id > frame.MAX_ID then return false, size, false end
   local known, smallest = self.size_of(id)
   local fits = not known or size <= known and size >= (smallest or known)
-  return reserved == 0 and id <= frame.MAX_ID and fits, size, known ~= nil
+  return fits, size, known ~= nil
 end
 
 -- Return the index of the next bytes that telnet may have changed, nil for none.
@@ -183,12 +187,13 @@ end
 -- Check the CRC of a frame; return whether it is good.
 -- text, index  its bytes, from there on; length = of it
 function Framer:check_crc(text, index, length)
-  local class, earned = math.floor(math.log(length, 2)), MAX_CREDIT + CREDIT * self.to
+  local class, earned = CLASSES[length], MAX_CREDIT + CREDIT * self.to
   local spent = math.max(self.spent[class] or 0, earned - MAX_CREDIT) + length
   if spent > earned then return false end
   self.spent[class] = spent
   local to = index + length - 1
-  return crc.update(crc.INITIAL, text, index, to - CRC_SIZE) == frame.crc(text, to)
+  local sum = crc.update(SYNC_REGISTER, text, index + #frame.SYNC, to - CRC_SIZE)
+  return sum == frame.crc(text, to)
 end
 
 -- Return whether a candidate is a frame of telnet.  If more bytes have to come, its end moves.

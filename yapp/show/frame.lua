@@ -97,7 +97,7 @@ local function show_last(self, result)
   if wants.yapp then add_transfer(self, result) end
   if status == "bad" then builder:add_bad_crc(self.item, transfer) end
   local mark = #transfer > 1 and builder.MARKS[status] or ""
-  if not transfer.received then return builder:show_message(message, self) .. mark end
+  if not transfer.received then return builder:show_message(result, self) .. mark end
   if wants.yapp then
     if self.payload_tvb then add(self.item, self.fields.payload, self.payload_tvb()) end
     builder:add_delta(self.item, message)
@@ -179,7 +179,7 @@ local function show_anomalies(self, frame, anomalies)
     local text = "The capture has %d of the frame's %d bytes"
     builder:add_expert(item, "truncated", text:format(#frame.data, frame.reported))
   end
-  for _, one in ipairs(anomalies or {}) do builder:add_expert(item, one.expert, one.text) end
+  if anomalies then builder:add_anomalies(item, anomalies) end
 end
 
 --- Show a frame.

@@ -21,17 +21,26 @@ PacketView.__index = PacketView
 --- Make the view of packets.
 -- builder  a show.tree
 function M.new(builder)
-  return setmetatable({ builder = builder, fields = builder.fields }, PacketView)
+  return setmetatable({
+    builder = builder,
+    fields = builder.fields,
+    -- Of the current packet, or of its current message; see Tree:show_message:
+    wants = false,
+    tree = false,
+    item = false,
+    payload_tvb = false,
+    payload_offset = 0,
+  }, PacketView)
 end
 
 -- Messages ----------------------------------------------------------------------------------------
 
 -- Add YAPP's own item of a frame; return it.
 -- tvb  where the bytes of the frame are
-local function add_item(self, result, tvb, tree)
+local function add_item(self, result, tvb)
   local builder, fields, transfer = self.builder, self.fields, result.transfer
   local source, offset, payload = result.frame.source, transfer.offset, transfer.payload
-  local item = add(tree, builder.yapp, tvb(offset, transfer.length))
+  local item = add(self.tree, builder.yapp, tvb(offset, transfer.length))
   append_text(item, (", %s"):format(source.short))
   add(item, fields.sync, tvb(offset, 2))
   add(item, fields.seq, tvb(offset + 2, 1))
@@ -54,27 +63,22 @@ local function add_item(self, result, tvb, tree)
 end
 
 -- Show a message; return its text for the Info column.
-local function show_message(self, result, tvb, wants, tree)
-  local builder, transfer, message = self.builder, result.transfer, result.message
-  local status, source = transfer.status, message.source
-  local offset = transfer.offset + HEADER
-  local item = wants.tree and add_item(self, result, tvb, tree) or tree
-  if status == "bad" then builder:add_bad_crc(item, transfer) end
-  for _, one in ipairs(result.anomalies or {}) do builder:add_expert(item, one.expert, one.text) end
+local function show_message(self, result, tvb)
+  local builder, wants, message = self.builder, self.wants, result.message
+  local transfer = result.transfer
+  local status, offset = transfer.status, transfer.offset + HEADER
+  self.item = wants.tree and add_item(self, result, tvb) or self.tree
+  if status == "bad" then builder:add_bad_crc(self.item, transfer) end
+  if result.anomalies then builder:add_anomalies(self.item, result.anomalies) end
   local mark = builder.MARKS[status]
-  if status ~= "incomplete" or not source.message then
-    return builder:show_message(message, {
-      wants = wants,
-      tree = tree,
-      item = item,
-      payload_tvb = wants.tree and tvb,
-      payload_offset = offset,
-    }) .. mark
+  if status ~= "incomplete" or not message.source.message then
+    self.payload_tvb, self.payload_offset = wants.tree and tvb, offset
+    return builder:show_message(result, self) .. mark
   end
   if wants.yapp and #message.payload > 0 then
-    add(item, self.fields.payload, tvb(offset, #message.payload))
+    add(self.item, self.fields.payload, tvb(offset, #message.payload))
   end
-  return source.label .. mark
+  return message.source.label .. mark
 end
 
 -- Bytes of no frame ------------------------------------------------------------------------------
@@ -100,12 +104,12 @@ local function quote(bytes)
 end
 
 -- Show skipped bytes; return their text for the Info column.
-local function show_skipped(self, result, packet, tvb, wants, item)
-  local builder, length, finding = self.builder, result.length, result.transfer
+local function show_skipped(self, result, packet, tvb)
+  local builder, length, finding, item = self.builder, result.length, result.transfer, self.tree
   local offset = finding.offset or 0
   local text = quote(finding.bytes or sub(packet.bytes, offset + 1, offset + length))
   local size = builder.bytes_text(length)
-  if wants.tree then
+  if self.wants.tree then
     item = add(item, builder.yapp, tvb(offset, length))
     append_text(item, (", %s skipped"):format(size))
     append_text(add(item, self.fields.skipped, tvb(offset, length)), text)
@@ -124,10 +128,10 @@ local function pending_text(contents, size, leads_to)
 end
 
 -- Show the pending bytes of a packet; return their text for the Info column.
-local function show_pending(self, packet, contents, tvb, wants, item)
-  local builder, fields, pending = self.builder, self.fields, contents.pending
+local function show_pending(self, packet, contents, tvb)
+  local builder, fields, pending, item = self.builder, self.fields, contents.pending, self.tree
   local leads_to = contents.leads_to and frame_key.number(contents.leads_to)
-  if wants.tree then
+  if self.wants.tree then
     local range = tvb(#packet.bytes - pending, pending)
     item = add(item, builder.yapp, range)
     append_text(item, ", part of a frame")
@@ -141,11 +145,11 @@ end
 -- Packets -----------------------------------------------------------------------------------------
 
 -- Show a result; return its text for the Info column.
-local function show_result(self, result, packet, tvb, wants, tree)
+local function show_result(self, result, packet, tvb)
   local bytes = result.transfer.bytes
-  if bytes and wants.tree then tvb = ByteArray.new(bytes, true):tvb("Reassembled YAPP") end
-  if result.message then return show_message(self, result, tvb, wants, tree) end
-  return show_skipped(self, result, packet, tvb, wants, tree)
+  if bytes and self.wants.tree then tvb = ByteArray.new(bytes, true):tvb("Reassembled YAPP") end
+  if result.message then return show_message(self, result, tvb) end
+  return show_skipped(self, result, packet, tvb)
 end
 
 -- Say that the capture has not all bytes of a packet, if no frame of it says so.
@@ -178,18 +182,20 @@ end
 -- tvb       where its bytes are, if a tree is wanted
 function PacketView:show(packet, contents, wants, tvb, pinfo, tree)
   local texts, source, results = {}, nil, contents.results
+  self.wants, self.tree = wants, tree
   if wants.names and not wants.tree then
     self.builder:add_protocol_names(tree, wants, find_decoded(results))
   end
-  for i, result in ipairs(results) do
-    local text = show_result(self, result, packet, tvb, wants, tree)
+  for i = 1, #results do
+    local result = results[i]
+    local text = show_result(self, result, packet, tvb)
     source = source or result.message and result.frame.source.text
     if i <= MAX_IN_INFO then texts[i] = text end
   end
   local more = #results - MAX_IN_INFO
   if more > 0 then texts[#texts + 1] = ("and %d more"):format(more) end
   if contents.pending > 0 then
-    texts[#texts + 1] = show_pending(self, packet, contents, tvb, wants, tree)
+    texts[#texts + 1] = show_pending(self, packet, contents, tvb)
   end
   if wants.columns and texts[1] then show_columns(packet, texts, source, pinfo.cols) end
   if packet.truncated then show_truncated(self, packet, results, tree) end

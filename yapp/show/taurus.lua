@@ -273,7 +273,7 @@ end
 local function add_faults(message, plan, tree, top)
   local item
   local is_change = message.change and message.change.flags and tree.visible
-  if plan.names and (message.has_fault or is_change) then
+  if plan.names and (message.remarks.has_fault or is_change) then
     local active = active_faults(message)
     local here = changes_text(message, active)
     if here == "" and message.state and message.state.active_time then
@@ -346,7 +346,7 @@ function Taurus:show(message, view)
   if view.payload_tvb and message.payload ~= "" then
     top, items, above = build_tree(self, message, view)
   end
-  for _, remark in ipairs(message.remarks or NONE) do
+  for _, remark in ipairs(message.remarks) do
     local index, name = remark[1], remark[2]
     local item = items[index]
     if name ~= "fault.active" then
@@ -355,7 +355,7 @@ function Taurus:show(message, view)
       append_help(item, message.source.message.fields[index], message.raws[index])
     end
   end
-  if message.has_fault then add_expert(above or top or view.item, "taurus.fault.active") end
+  if message.remarks.has_fault then add_expert(above or top or view.item, "taurus.fault.active") end
   return top, above
 end
 

@@ -144,6 +144,12 @@ function Tree.add_expert(_, item, name, text)
   show_fields.add_expert(item, "yapp." .. name, text)
 end
 
+--- Add the expert items of anomalies.
+-- anomalies  of a result
+function Tree:add_anomalies(item, anomalies)
+  for _, one in ipairs(anomalies) do self:add_expert(item, one.expert, one.text) end
+end
+
 --- Add the id, with the name that the user's mapping gives it.
 -- range   TvbRange, nil where the CAN id has it
 -- source  of message.types
@@ -219,7 +225,7 @@ function Tree:add_delta(item, message)
   if message.copy_of then
     set_generated(add(item, fields.copy_of, number_of(message.copy_of)))
   end
-  self:add_has_fault(item, message.has_fault)
+  self:add_has_fault(item, message.remarks.has_fault)
 end
 
 --- Return a number of bytes in words: "1 byte", "2 bytes".
@@ -243,7 +249,7 @@ local function add_mismatch(self, message, view)
   local source = message.source
   local least, most = source.min_size, source.size
   local known = least < most and ("%d to %d"):format(least, most) or most
-  local text = ("%s, the catalogue says %s"):format(Tree.bytes_text(message.size), known)
+  local text = ("%s, the catalogue says %s"):format(Tree.bytes_text(message.transfer.size), known)
   self:add_expert(view.item, "size.mismatch", ("%s has %s"):format(source.label, text))
   return ("%s, %s"):format(source.label, text)
 end
@@ -255,10 +261,11 @@ local function unknown_texts(message)
   local like = message.like
   local text = ("Message ID 0x%x is not in the catalogue"):format(message.source.id)
   if not like then return text, "" end
-  local size = "the size of " .. like.title
-  local advice = (': see the preference "%s message IDs"'):format(like.title)
-  text = ("%s; %d bytes, %s%s"):format(text, message.size, size, advice)
-  return text, ", " .. size .. (message.is_advised and advice or "")
+  local title = like.type.title
+  local size = "the size of " .. title
+  local advice = (': see the preference "%s message IDs"'):format(title)
+  text = ("%s; %d bytes, %s%s"):format(text, message.transfer.size, size, advice)
+  return text, ", " .. size .. (like.is_advised and advice or "")
 end
 
 -- Show a message that is not in the catalogue, or not as it is there: bytes.
@@ -268,7 +275,7 @@ local function show_bytes(self, message, view)
   local id, like = message.source.id, message.like
   local text, info = unknown_texts(message)
   if like and view.wants.yapp then
-    set_generated(add(view.item, self.fields["like." .. like.name], id))
+    set_generated(add(view.item, self.fields["like." .. like.type.name], id))
   end
   self:add_expert(view.item, "id.unknown", text)
   return ("%s  %s%s"):format(message.source.label, Tree.bytes_text(#message.payload), info)
@@ -276,28 +283,30 @@ end
 
 -- Return the text of a message's values in Info.  The source stands in it even if a column shows it
 -- where something is wrong: Wireshark's list of expert items has no such column.
-local function values_text(message)
+local function values_text(result)
+  local message = result.message
   local source = message.source
-  local name = message.is_usual and source.short or source.label
+  local name = result.is_usual and source.short or source.label
   return name .. "  " .. source.write(message.raws)
 end
 
 --- Show a finished message: the message of the catalogue, or bytes.
--- message  of reading.messages
+-- result   of reading.records, with the message
 -- view     { wants = of Tree:wants; tree = where the Taurus tree goes; item = YAPP's own item, or
 --          the tree; payload_tvb and payload_offset = where the payload lies, payload_tvb false if
 --          no tree is wanted }
 -- returns  its text for the Info column; only a part of that if there are no columns
-function Tree:show_message(message, view)
-  local top, above, info, source = nil, nil, "", message.source
+function Tree:show_message(result, view)
+  local top, above, info, message = nil, nil, "", result.message
+  local source = message.source
   if view.wants.yapp then self:add_delta(view.item, message) end
   if not message.raws then
     info = show_bytes(self, message, view)
   else
-    if view.payload_tvb or message.remarks then top, above = self.messages:show(message, view) end
-    if view.wants.columns then
-      info = values_text(message)
+    if view.payload_tvb or message.remarks[1] then
+      top, above = self.messages:show(message, view)
     end
+    if view.wants.columns then info = values_text(result) end
   end
   if message.copy_of then
     self:add_expert(view.item, "copy")
@@ -307,13 +316,13 @@ function Tree:show_message(message, view)
     local cleared, words = self.messages:add_change(message, top, view.item, above)
     info = cleared .. info .. words
   end
-  if message.has_fault and view.wants.columns then
+  if message.remarks.has_fault and view.wants.columns then
     info = text_of.faults(source.message, message.raws) .. "  " .. info
   end
   if message.undecoded then
     add_bytes(self, message, view, "undecoded", source.size)
     add_mismatch(self, message, view)
-    local size = Tree.bytes_text(message.size)
+    local size = Tree.bytes_text(message.transfer.size)
     info = ("%s  [%s, %d not decoded]"):format(info, size, message.undecoded)
   end
   return info

@@ -78,20 +78,19 @@ function Intake:remove_later(tap)
   table.insert(self.leaving, tap)
 end
 
--- Return the event of a message or frame.
--- message  of reading.messages, or a frame of reading.records
-local function new_event(kind, message, values)
-  return kinds.new_event(kind, message.number, message.time, message.source, values, message)
+-- Return the event of a frame, or of the message that it ends.
+local function new_event(kind, frame, values, message)
+  return kinds.new_event(kind, frame.number, frame.time, frame.source, values, message or frame)
 end
 
-local function offer(self, kind, message, values)
-  local line, leaving = message.source.line, self.leaving
+local function offer(self, kind, frame, values, message)
+  local line, leaving = frame.source.line, self.leaving
   if self.stretches[line] then self.stretches[line] = nil end -- a needless nil costs in 5.2
   if leaving[1] then
     self.leaving = {}
     for _, tap in ipairs(leaving) do tap:remove() end
   end
-  self.queue:offer(new_event(kind, message, values), message.visited)
+  self.queue:offer(new_event(kind, frame, values, message), frame.visited)
 end
 
 -- Messages ----------------------------------------------------------------------------------------
@@ -117,7 +116,7 @@ local function invalid_of(message)
 end
 
 local function values_of(message)
-  local invalid = message.remarks and invalid_of(message)
+  local invalid = message.remarks[1] and invalid_of(message)
   local is_decoded = message.raws and not message.undecoded
   if is_decoded and not (message.change or invalid or message.is_unreliable) then
     return kinds.NOTHING
@@ -132,17 +131,17 @@ local function values_of(message)
 end
 
 -- Report a message that has ended.
-local function report_message(self, message)
+local function report_message(self, frame, message)
   local kind, values = KIND_OF[message.status], nil
   if not kind then return end
   if self.has_orphans then self.states[message.source].orphan = false end
-  if message.copy_of then return offer(self, "copies", message, { of = message.copy_of }) end
+  if message.copy_of then return offer(self, "copies", frame, { of = message.copy_of }, message) end
   if kind == "message" then
     values = values_of(message)
   elseif kind == "incomplete" then
     values = LOSSES["fragment.incomplete"]
   end
-  offer(self, kind, message, values)
+  offer(self, kind, frame, values, message)
 end
 
 -- Losses ------------------------------------------------------------------------------------------
@@ -212,7 +211,7 @@ end
 function Intake:report(result)
   local kind, message, anomalies = result.kind, result.message, result.anomalies
   if message then
-    report_message(self, message)
+    report_message(self, result.frame, message)
   elseif kind == "skipped" then
     report_skipped(self, result.frame, result.length)
   elseif kind == "undissected" then
