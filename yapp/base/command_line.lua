@@ -6,7 +6,7 @@ local M = {}
 local HAS_VALUE = {} -- the letters of tshark 4.0 to 4.6 that a value follows
 for letter in ("aAbBcCdeEfFHijJkKmMNoOrRsStTuUwWXyYz"):gmatch(".") do HAS_VALUE[letter] = true end
 
--- Note the letters of a word such as -qYyapp.
+-- Parse the letters of a word such as -qYyapp.
 -- returns  the letter whose value is the next word; nil if the word is complete
 local function parse_letters(found, letters)
   for i = 1, #letters do

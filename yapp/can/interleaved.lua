@@ -117,8 +117,8 @@ local function give_up(self, candidate)
   if not candidate.is_retry then self.reassembly:give_up(candidate.message) end
 end
 
---- Note a Start: it supersedes the open messages; give up those that are too old.
--- anomaly  the one that notes this of the newest message, or nil
+--- Supersede the open messages by a new Start; give up the messages that are too old.
+-- anomaly  that of the newest message, or nil
 -- returns  true if any is left
 function Pool:supersede(anomaly)
   local open = self.open
@@ -173,7 +173,7 @@ local function search(self, goal, first, register, needed)
   end
 end
 
--- Give frames to a message.  Return its payload, which ends with the first truncated frame, and
+-- Assign frames to a message.  Return its payload, which ends with the first truncated frame, and
 -- whether there is such a frame.
 local function assign_frames(message, frames)
   local chunks, is_truncated = {}, false
@@ -201,7 +201,7 @@ local function forgive_copies(self, message)
   end
 end
 
--- Note the frames that a message was good without.
+-- Keep the duplicates: frames that a message was good without.
 local function keep_duplicates(self)
   local original
   for _, frame in ipairs(self.frames) do

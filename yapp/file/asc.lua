@@ -145,7 +145,7 @@ local FORMS = {
 -- line     without its end
 -- base     10 or 16: of the file's ids and data
 -- returns  a record { bus = channel, id = with SocketCAN's flags, fd, sent, length, flags,
---          raw_dlc = 0, data }, or nil for a line that is no frame; the time in front of the line
+--          raw_dlc = 0, data }, or nil for a line without a frame; the time in front of the line
 --          in microseconds, or nil; and a reason if the line was not understood
 function M.parse(line, base)
   local stamp, rest = parse_stamp(line)
@@ -181,7 +181,7 @@ local DATES = {
 local NO_DATE = "no such date: times count from the date before, or from 0. Correct it, as in " ..
   '"Tue Nov 14 22:13:20.001 2023"'
 
--- Take the date of a line, if it has one.
+-- Set the date of a log from a line, if it has one.
 local function set_date(log, line)
   for name, pattern in pairs(DATES) do
     local written = line:match(pattern)
@@ -190,8 +190,8 @@ local function set_date(log, line)
   end
 end
 
--- Take the time in front of a line: log.clock is the time of its frame.  A block of a log says when
--- it began: python-can counts from there, CANoe from the date of the file.
+-- Set log.clock, the time of a line's frame, from the stamp in front of it.  A block has the time
+-- when it began: python-can counts from there, CANoe from the date of the file.
 local function set_clock(log, line, stamp)
   if log.began then
     local date = log.date or 0

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The output and logs of candump: the CAN frame in a line, whether a file is such, and its frames
--- as packets.  Pure Lua.
+-- The output and logs of candump: recognises a file, and reads the CAN frames in its lines as
+-- packets.  Pure Lua.
 --
 -- A line, after can-utils (lib.c, candump.c), has the form LOG or SCREEN behind the CAN id;
 -- parse_head reads the text before it.  A line without a frame has one of the forms OTHERS.  A line
@@ -112,7 +112,7 @@ end
 
 -- Fill in the data that the screen has behind the id: [8] classic, [08] CAN FD, {E} classic with
 -- the raw DLC (-8).  Between the bytes is a blank, or with -S, which turns them around, a "`".
--- Behind them is nothing, ERRORFRAME, or in quotes the bytes as ASCII.
+-- Behind them may stand ERRORFRAME, or in quotes the bytes as ASCII.
 local function parse_screen(record, open, digits, data)
   local is_raw = open == "{"
   local length = tonumber(digits, is_raw and 16 or 10)
@@ -309,8 +309,8 @@ local function may_begin(lines)
   return #lines == 1 and text.has_one_of(lines[1], RESTS)
 end
 
--- Survey the first lines of a file; return nil if they are not candump's: { deltas = whether
--- the times are those since the frame before, decimals = 6 or 9, bus = name of the first one,
+-- Survey the first lines of a file; return nil if they are not candump's: { deltas = true
+-- if the times are those since the frame before, decimals = 6 or 9, bus = name of the first one,
 -- has_several = true if there are others, stamps_differ = true if not all stamps are equal }.
 local function recognise(lines)
   local records, others = {}, {}
@@ -375,7 +375,7 @@ end
 -- A line that has one of these, and was not understood, was a frame.
 local LIKE_FRAMES = { "^%s*%([%d-]", "%x#", "%[%x+%]%s", "{%x}%s" }
 
--- Account for a line without a frame: note the packets that candump says it lost.
+-- Account for a line without a frame: add the packets that candump lost.
 local function add_other_line(log, line, why, is_harmless)
   local count, bus = line:match("^DROPCOUNT: dropped (%d+)[^']*'?([^',]*)")
   if not count then
@@ -439,13 +439,13 @@ end
 
 --- Open a file if it is candump text.
 -- file     anything with read(bytes) and seek("set", offset), at its start, as io.open gives it
--- options  { all = true to take all candump text, false to leave to Wireshark's own reader what
---          that gets right; by_value = true if that reader goes by the value of an id, as 4.6 does;
---          report = function(text), called with a remark on a line }
+-- options  { all = true to take all candump text, false to leave files to Wireshark's own
+--          reader that it gets right; by_value = true if that reader goes by the value of an id, as
+--          4.6 does; report = function(text), called with a remark on a line }
 -- returns  a log with read and seek_read, and { decimals = 6 or 9, of the times; has_several =
 --          true if its first lines have several buses; stamps_differ, drops = as readers.log
---          returns them }.  Otherwise nil, and if Wireshark's own reader gets the log right, what
---          readers.log returns: { plain_bus, stamps_differ }
+--          returns them }.  Otherwise nil, and if Wireshark's own reader gets the log right,
+--          facts for readers.log: { plain_bus, stamps_differ }
 function M.open(file, options)
   local head = file:read(HEAD) or ""
   if head:find("^[^\n]*\0") then return nil end -- no text; a log that was cut off may have some

@@ -76,7 +76,7 @@ local function shift_of(self, stamp)
   return ahead[1] >= 0 and ahead[1] < MAX_STEP and self.shift or difference(self.time, stamp)
 end
 
--- Let the time of the dump go on with a stamp.  It never goes back: a controller that rebooted has
+-- Advance the time of the dump by a stamp.  It never goes back: a controller that rebooted has
 -- a new clock, and so has another controller with the same ID.
 -- id  of the message
 local function advance(self, id, stamp)
@@ -107,7 +107,7 @@ function M.open(file, options, head)
     time_of = options.time_of,
     head = head,
     decimals = 9,
-    lacks_clock = true, -- its times are those of controllers
+    lacks_clock = true, -- controllers made its times
     findings = {}, -- of the file; false once it is a record
     next = 1, -- index of the first one that is no record yet
     is_over = false,
@@ -129,7 +129,7 @@ function M.open(file, options, head)
   return has_frame and self or nil
 end
 
--- Take the next finding, nil at the end.  All bytes between two frames are one finding of at most
+-- Return the next finding, nil at the end.  All bytes between two frames are one finding of at most
 -- MAX_SKIPPED bytes, however they were read.
 function Dump:next_finding(file)
   local finding = self.findings[self.next]

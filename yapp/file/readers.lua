@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Wireshark's file readers of candump text, Vector's ASC and raw serial dumps, and what the files
--- say of the capture.  The modules of the formats do the work.
+-- Wireshark's file readers of candump text, Vector's ASC and raw serial dumps, and the facts of the
+-- files.  The modules of the formats do the work.
 
 local later = require "yapp.base.later"
 local asc = later "yapp.file.asc"
@@ -34,7 +34,7 @@ end
 --          the packet behind the loss or nil, time = that packet's seconds since 1970 or nil },
 --          complete when the file has been read; lacks_times = true if packets have no time stamps;
 --          stamps_differ = true if the time stamps of its first frames do;
---          lacks_clock = true if times are the controllers' own, as those of a raw dump;
+--          lacks_clock = true if times are the controllers' own, as in a raw dump;
 --          plain_bus = name of the only bus of a log that Wireshark's own reader took, which
 --          forgets it on 4.0 and 4.4 }
 function M.log()
@@ -102,8 +102,8 @@ local function reporter(name)
   return function(text) io.stderr:write(name, ": ", text, "\n") end
 end
 
--- Register a reader of candump text, all of it or what Wireshark's own reader gets wrong or not at
--- all.  A user who names it, -X "read_format:yapp_candump", gets all.
+-- Register a reader of candump text: of all, or of files that Wireshark's own reader gets wrong or
+-- not at all.  A user who names it, -X "read_format:yapp_candump", gets all.
 local function register_candump(title, name, kind, takes_all)
   local options = {
     all = takes_all,
@@ -116,7 +116,7 @@ local function register_candump(title, name, kind, takes_all)
   end)
 end
 
--- Nothing at the start of a dump marks it, and other files may hold YAPP frames.  So a file is a
+-- A dump has no mark at its start, and other files may hold YAPP frames.  So a file is a
 -- dump only if its name ends with .yapp, or if the user says so.  Wireshark does not tell a reader
 -- the name.  It asks the readers without an extension first, unless the file has the extension of
 -- another.  So the reader yapp_name, which opens nothing, notes the files that are not .yapp.

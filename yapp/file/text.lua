@@ -146,7 +146,7 @@ end
 --- Return a frame as a packet of link type LINUX_SLL2: the cooked header, the SocketCAN header, the
 -- data.
 -- number  of the bus
--- record  what head needs, and { length = bytes, flags = 4 FDF, 2 ESI, 1 BRS, raw_dlc = 9 to 15
+-- record  as for M.head, and { length = bytes, flags = 4 FDF, 2 ESI, 1 BRS, raw_dlc = 9 to 15
 --         or 0, data = bytes }
 function M.packet(number, record)
   local lengths = char(record.length, record.flags, 0, record.raw_dlc)
@@ -225,7 +225,7 @@ function Log:lose(line, why, is_doubtful)
   self:skip(line, why)
 end
 
--- Note which frame is behind the latest drops, and when it came: nothing at the end of the file.
+-- Set the frame behind the latest drops, and its time; none at the end of the file.
 local function place_drops(self, frame, time)
   local count = self.unread + (frame and self.has_frame and self.doubtful or 0)
   self.unread, self.doubtful, self.has_frame = 0, 0, true

@@ -568,7 +568,7 @@ end
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
 --   lacks_times   true if packets have no time stamps
---   stamps_differ whether two of the packets that were read have different ones
+--   stamps_differ true if two of the packets that were read have different ones
 --   start         if the first packet has no time stamp: that of the next one, seconds since 1970
 --   offset        of the CAN frame's data in each packet; nil where it is not always the same
 --   head          its first bytes, if it has packets and these may have YAPP frames, in TCP, UDP or

@@ -24,7 +24,7 @@ function M.use(proto, dissector)
   own, dissect = proto, dissector
 end
 
---- Take the server's port of a conversation.
+--- Register the server's port of a conversation.
 function M.register(is_tcp, port)
   local ports = TABLES[is_tcp]
   if ports:get_dissector(port) then return end -- it may be ours already
@@ -53,7 +53,7 @@ function M.has_other(pinfo)
   return false
 end
 
---- Give back all ports, but those that the user has given to another protocol since.
+--- Give back all ports, except ports that the user has given to another protocol since.
 function M.unregister_all()
   for _, row in ipairs(registered) do
     local ports, port = row[1], row[2]

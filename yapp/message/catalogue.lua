@@ -322,7 +322,7 @@ function M.of_size(messages, size)
   return list
 end
 
---- Say which message each ID carries.
+--- Assign a message to each ID.
 -- catalogue  compiled
 -- ids        { [message name] = list of IDs }, the user's choice
 -- returns    { [id] = message }, and a list of texts for IDs that two messages claim: the first

@@ -47,7 +47,7 @@ local function demand(condition, problem, advice)
   if not condition then error({ problem = problem, advice = advice }, 0) end
 end
 
--- Take a part apart at its "=".
+-- Split a part at its "=".
 -- returns  the bus or nil, the text of the IDs or nil, and the text behind the "="
 local function split_part(part)
   local address, value = part:match("^(.-)%s*=(.*)$")

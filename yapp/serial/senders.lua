@@ -282,7 +282,7 @@ function Senders:shared_ids(conversations)
   return shared
 end
 
--- Count how many conversations have each port: [port] = number, by whether they are of TCP.
+-- Count how many conversations have each port: [port] = number, for TCP and for UDP.
 local function count_ports(conversations)
   local counts = { [true] = {}, [false] = {} }
   for _, one in ipairs(conversations) do

@@ -393,7 +393,7 @@ end
 --   pending   number of bytes at the end that are in no finding yet
 --   is_held   true if it is a segment that waits for a missing one: then all are pending
 --   missing   number of bytes to come of the frame that the pending ones begin, or nil
---   is_others whether it is a datagram of others: nothing else of it holds
+--   is_others true if it is a datagram of others: no other field of it holds
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
 function Streams:add(packet, is_stored)
   local may_be_of_others = packet.is_found and packet.is_datagram

@@ -152,7 +152,7 @@ local function show_result(self, result, packet, tvb)
   return show_skipped(self, result, packet, tvb)
 end
 
--- Say that the capture has not all bytes of a packet, if no frame of it says so.
+-- Add the expert item of a truncated packet, unless one of its frames has it.
 local function show_truncated(self, packet, results, tree)
   local last = results[#results]
   if packet.bytes == "" or last and last.transfer.missing then return end

@@ -172,9 +172,9 @@ local function add_state_steps(self, message, tree, plan)
   plan.names = pf and referenced(tree, pf) and pf
 end
 
--- Return how the tree of a message is built: a list of steps { field, index, parent = index of the
--- field that it is a part of, add = see ADD }; own = true if the message's field is wanted; and of
--- what is wanted: generated, rounded, states = lists; names = ProtoField of the names of faults.
+-- Return the plan of a message's tree: a list of steps { field, index, parent = index of the
+-- field that it is a part of, add = see ADD }; own = true if the message's field is wanted; and the
+-- wanted ones of generated, rounded, states = lists; names = ProtoField of the names of faults.
 local function make_plan(self, message, tree)
   local plan, fields = { generated = {}, rounded = {}, states = {} }, self.fields
   plan.own = referenced(tree, fields[message.filter])
@@ -204,7 +204,7 @@ local function make_plan(self, message, tree)
   return plan
 end
 
--- Return the plan for a tree.  In tshark's first pass it is kept in what is wanted, which holds for
+-- Return the plan for a tree.  In tshark's first pass it is kept in view.wants, which holds for
 -- all packets: without plans a filter for one fault takes 1.9 times as long.
 local function plan_of(self, message, view)
   local plans = view.wants.plans or {}

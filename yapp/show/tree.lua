@@ -54,7 +54,7 @@ function Tree:reset()
   self.wanted, self.is_only_pass = nil, false
 end
 
---- Say that this first pass of tshark is its only one: no packet is revisited.
+--- Make this first pass of tshark the only one: no packet is revisited.
 function Tree:set_only_pass()
   self.wanted, self.is_only_pass = nil, true
 end
@@ -202,13 +202,13 @@ function Tree:add_crc(item, range, transfer, sent)
   append_text(item, shown[3])
 end
 
---- Say that a CRC is bad, with the received and the expected one.
+--- Add the expert item of a bad CRC, with the received and the expected one.
 function Tree:add_bad_crc(item, transfer)
   local text = ("Received 0x%08x, expected 0x%08x"):format(transfer.crc, transfer.calculated)
   self:add_expert(item, "crc.bad", text)
 end
 
---- Add whether a message has a fault, in each of its frames.
+--- Add that a message has a fault, in each of its frames.
 function Tree:add_has_fault(item, has_fault)
   if has_fault then set_generated(add(item, self.fields["message.fault"], true)) end
 end
@@ -243,7 +243,7 @@ local function add_bytes(self, message, view, name, offset)
   end
 end
 
--- Say that a payload does not have the catalogue's size.
+-- Add the expert item of a payload that does not have the catalogue's size.
 -- returns  its text for the Info column
 local function add_mismatch(self, message, view)
   local source = message.source

@@ -72,7 +72,7 @@ end
 --- options  { folder = path or "-", chosen = compiled message where it is printed, replace =,
 --          all = booleans, statistics = see M.describe }
 -- context  { queue = a stat.queue, which has the clock; settings = see stat.taps;
---          make_folder = function(path) -> whether it is there; and what output.print takes }
+--          make_folder = function(path) -> true if it is there; and the rest for output.print }
 -- It raises why a file cannot be written.
 function M.new(options, context)
   local self = setmetatable({
@@ -97,7 +97,7 @@ function M.new(options, context)
   return self
 end
 
---- Take an event, see stat.derive.
+--- Add the row of an event, see stat.derive.
 function Csv:add_event(event)
   local all, source, is_good = self.options.all, event.source, event.kind == "message"
   local to = event.raws and self.tables[source.message]

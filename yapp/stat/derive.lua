@@ -75,7 +75,7 @@ function M.new(settings, statistic, options)
     came = {}, -- sources with an event that counts
     copies = 0, -- number of messages that were recorded once more, or several times
     originals = {}, -- [source] = frame key of the latest of them
-    -- Of events, by kind, where a fault may be hidden; false if nothing is to be said of that.
+    -- By kind of event, where a fault may be hidden; false if the statistic needs no note on that.
     counts = (options.looks_for_faults or options.row.looks_for_faults) and {} or false,
     unreliable_notes = {}, -- texts: why the history of a source is unreliable; and by source
     now = nil, -- seconds of the capture, see above
@@ -172,7 +172,7 @@ local function emit_or_hold(self, state, event, kind, cause, values)
   emit(self, oldest.kind, oldest.cause, oldest.values)
 end
 
--- Emit the events that are held, but those that a `shared` explains.
+-- Emit the events that are held, unless a `shared` explains them.
 -- since  number of the first packet that it explains, nil for none
 local function emit_held(self, state, since)
   for _, one in ipairs(state.held or NOTHING) do
@@ -181,7 +181,7 @@ local function emit_held(self, state, since)
   state.held = nil
 end
 
--- Note once for a source why its history is unreliable.
+-- Add the note on an unreliable history, once for a source.
 -- shared  of its change, see message.history
 local function add_unreliable_note(self, event, shared)
   local source, notes = event.source, self.unreliable_notes

@@ -59,14 +59,14 @@ Events.__index = Events
 
 --- Make the statistic.
 -- options  { what = "events" or "faults" }
--- context  { queue = a stat.queue, which has the clock; and what output.print
---          takes }
+-- context  { queue = a stat.queue, which has the clock; and the rest for
+--          output.print }
 function M.new(options, context)
   return setmetatable({ what = options.what, context = context, list = {} }, Events)
 end
 
---- Take an event, see stat.derive.  Of messages that were not decoded, keep the first event of each
--- source and size alone.
+--- Add an event, see stat.derive.  Messages that were not decoded have one event for each source
+-- and size.
 function Events:add_event(event)
   local row = kinds.BY_NAME[event.kind]
   local is_listed = self.what == "events" and row and not row.is_counted_only

@@ -98,7 +98,7 @@ end
 
 -- Groups ----------------------------------------------------------------------------------------
 
--- How many events of a kind there are; frame and values = of the first, cause = of the latest.
+-- Make the count of a kind of event; frame and values = of the first, cause = of the latest.
 local function new_count()
   return { seen = 0, frame = nil, values = kinds.NOTHING, cause = nil }
 end
@@ -144,7 +144,7 @@ local Groups = {}
 -- returns  it, with class.new(options, context), which makes a statistic:
 --   options  of stat.options
 --   context  { queue = a stat.queue, which has the clock; settings = see stat.taps;
---            and what output.print takes }
+--            and the rest for output.print }
 function M.class(class)
   class.__index = class
   function class.new(options, context)
@@ -234,7 +234,7 @@ local function add_message(self, event, now)
   add_values(self, group, event, now)
 end
 
---- Take an event, see stat.derive.  Of faults those that rose count.
+--- Add an event, see stat.derive.  A fault counts when it rises.
 function Groups:add_event(event, now, cause)
   local kind, values = event.kind, event.values
   local row = kinds.BY_NAME[kind]

@@ -8,7 +8,7 @@
 --   undecoded      number of these bytes behind those that the catalogue has, or nil
 --   is_unreliable  true if the past of the message is not known }
 -- The values of a loss are {
---   shown    { what = "incomplete", "orphan" or "overrun" }: its values once it is handed on
+--   shown    { what = "incomplete", "orphan" or "overrun" }: its values in the statistics
 --   lost     a value that all losses of one message share, or nil
 --   anomaly  { is_withdrawn = true if nothing is lost after all, is_open = true if that may
 --            change } }
@@ -206,7 +206,7 @@ local function report_undissected(self, frame, size)
   end
 end
 
---- Take a result of the reading.
+--- Make the events of a result.
 -- result  see reading.records
 function Intake:report(result)
   local kind, message, anomalies = result.kind, result.message, result.anomalies
@@ -220,7 +220,7 @@ function Intake:report(result)
   if anomalies then report_anomalies(self, result.frame, anomalies) end
 end
 
---- Take the results that were still waiting when all packets had come.
+--- Make the events of the results that still waited when all packets had come.
 -- results  of Reading:finish
 -- returns  the events of the messages that the capture ends before, in the order of their frames
 function Intake:finish(results)

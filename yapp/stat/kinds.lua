@@ -11,7 +11,7 @@ local M = {}
 -- name        the first value: in JSON and in rules
 -- text        the second one, for people: {key} is a value of the event
 -- keys        in JSON, besides those of every event
--- is_optional whether `check` without rules does not judge it (others as NAME=0)
+-- is_optional true if `check` without rules does not judge it (others as NAME=0)
 -- is_counted_only  true if `events` does not list it, as it is nothing that happened
 -- counts_as   the kind whose rule counts it; nil if it has a rule NAME=N of its own
 -- amount      the key whose values the rule adds up; nil: each message counts once
@@ -22,7 +22,7 @@ local M = {}
 -- about       key that the message type of a source must have; nil for any source with an ID
 -- needs_past  true if it can be judged only with a good message and a reliable history
 -- needs_values  the same with a message that was decoded
--- is_doubtful whether a `shared` behind it may explain it, see stat.derive
+-- is_doubtful true if a `shared` behind it may explain it, see stat.derive
 -- needs_time  true if it can be judged only if packets have time stamps
 M.LIST = {
   {

@@ -82,13 +82,13 @@ end
 -- [window] = function(), called when packets have come, of the windows that are open.
 local on_packets_of = {}
 
--- A window with a text that can be made anew, copied and saved, and whose frames can be shown.
+-- Open a window with a text.  Its buttons make the text anew, copy it, save it, show its frames.
 -- make  function(on_progress) -> the text, the frames; see Stat:run
 -- stat  of stat.taps
 local function open_window(title, make, stat)
   local window, content, frames = TextWindow.new("YAPP " .. title), nil, nil
   local total, time = 0, "" -- of the reading
-  local is_old = true -- true if nothing is to be said: it was said, or the reading goes on
+  local is_old = true -- true if the note stands already, or the reading goes on
   local is_closed = false -- a closed window takes no text; the reading may go on without it
   local function set(text)
     if not is_closed then window:set(text) end

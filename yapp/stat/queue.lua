@@ -201,7 +201,7 @@ local function deliver_waiting(self)
   end
 end
 
---- Take an event of the packet that is dissected, or of an earlier one.
+--- Offer an event of the packet that is dissected, or of an earlier one.
 -- visited  of the packet: tshark -2 dissects all packets before the first tap runs
 function Queue:offer(event, visited)
   -- An event of an earlier packet is of a conversation that was unknown when that came.
@@ -220,7 +220,7 @@ function Queue:add_undissected(event)
   self.undissected[#self.undissected + 1] = event
 end
 
---- Say when the first packet was captured.
+--- Set when the first packet was captured.
 -- seconds, nanoseconds  integers
 -- rel                   the packet's time since the first one: not 0 if a filter rejected the first
 function Queue:set_begin(seconds, nanoseconds, rel)
@@ -262,7 +262,7 @@ local function emit_step(self, number, rel, step, event)
   for _, deriver in ipairs(self.derivers) do deriver:add(clock) end
 end
 
---- Say that a packet of any kind has been dissected.
+--- Go on to a packet of any kind, which has been dissected.
 -- number, rel  of the packet; rel = seconds since the first one.  With tshark -2 -R the number of a
 --              packet that the first pass rejected is another's in the second, with another time
 -- lacks_clock  function() -> whether rel is the time of a controller: to go back is no event then
@@ -283,7 +283,7 @@ end
 
 local function ignore() end
 
---- Take no more packets: those that come are of another file.
+--- Take no more packets: they are of another file.
 function Queue:stop()
   deliver_waiting(self)
   self.offer, self.add_undissected, self.packet = ignore, ignore, ignore
@@ -325,13 +325,13 @@ local function explain_times(self, capture)
   return self.packets > 1 and not self.has_progress and EQUAL_TIMES or nil
 end
 
---- Say that all packets have come: events are handed on at once.
+--- End the packets: events are handed on at once.
 function Queue:end_packets()
   deliver_waiting(self)
   self.is_direct = true
 end
 
--- Return the texts of a list, without those that stand there before.
+-- Return the texts of a list, each once.
 local function without_repeats(texts)
   local list, said = {}, {}
   for _, text in ipairs(texts) do

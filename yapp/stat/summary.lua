@@ -180,7 +180,7 @@ local function add_words(row, text, short)
   row.far = far
 end
 
--- Say of the rows of a field which values are far from the others: "▲ mean ▲ max"; in a
+-- Mark the values of a field that are far from the others: "▲ mean ▲ max"; in a
 -- window, which has no mean, the arrows alone; and who fell silent.
 -- list  of the groups, in the order of the rows
 local function mark_far(rows, list)
@@ -201,8 +201,8 @@ local function mark_far(rows, list)
   end
 end
 
--- Append the rows of a field: one for each source, the first with the spread of all and with what
--- JSON has, which is all that is needed there.
+-- Append the rows of a field: one for each source.  The first has the spread of all and the values
+-- of JSON, which needs no other row.
 local function add_rows(self, list, index, rows)
   local spread, sources, first, all = list[1].values[index].spread, {}, #rows + 1, {}
   for i, group in ipairs(list) do
@@ -242,7 +242,7 @@ local function list_compared(self)
   return lists
 end
 
--- Note which groups of a message fell silent while another one went on.
+-- Mark the groups of a message that fell silent while another one went on.
 local function mark_silent(self, list)
   local every, last = list[1].message.every, 0
   for _, group in ipairs(list) do last = math.max(last, group.last or 0) end

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Messages that were not decoded, or only in part: how many, of which sources and sizes, and which
--- preference decodes them.  Pure Lua, 5.2 to 5.5.
+-- Messages that were not decoded, or only in part: their number, sources and sizes, and the
+-- preferences that decode them.  Pure Lua, 5.2 to 5.5.
 
 local compiler = require "yapp.message.catalogue"
 local input = require "yapp.base.input"
