@@ -349,10 +349,8 @@ local function visit_packet(capture, kind, bytes, with)
   local packet = { key = number * frame_key.PACKET + 42, number = number, time = number / 10,
     visited = with.visited or false, epoch = with.epoch or false, bytes = bytes,
     length = #bytes + (with.truncated or 0),
-    truncated = with.truncated ~= nil, is_datagram = line.is_datagram, is_complete = line.is_complete,
-    is_tcp = line.is_tcp, is_found = capture.reading.found[line.trial_key], line = line, stream = line.key,
-    tag = line.tag, bus_name = line.bus, seq = with.seq, is_bus_known = true, is_only_pass = false,
-    wants_state = false }
+    truncated = with.truncated ~= nil, is_found = capture.reading.found[line.trial_key], line = line,
+    stream = line.key, seq = with.seq, is_bus_known = true, is_only_pass = false, wants_state = false }
   if with.try then return capture.reading:try_packet(packet) end
   if with.visited then return capture.reading:recall_packet(packet) end
   return capture.reading:add_packet(packet)

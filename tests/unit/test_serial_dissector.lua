@@ -143,18 +143,11 @@ function T.test_a_datagram()
   lu.assertEquals(seen.ways, { "add_packet" })
   lu.assertEquals(seen.line_of, { UDP, "10.0.0.1", 40000, "10.0.0.2", 14550, nil, 0.7 })
   lu.assertEquals(one, { key = 7 * PACKET + 42, number = 7, time = 0.7, epoch = false, visited = false,
-    bytes = "YP..", length = 4, truncated = false, is_datagram = true, is_complete = false, is_tcp = false,
-    line = said.line, stream = "line", tag = "tag", bus_name = "eth0", is_bus_known = true, is_only_pass = "only",
-    wants_state = "state" })
+    bytes = "YP..", length = 4, truncated = false, line = said.line, stream = "line", is_bus_known = true,
+    is_only_pass = "only", wants_state = "state" })
   lu.assertEquals({ seen.shown[1][2], seen.shown[1][6], seen.wants }, { "contents", "tree", { "tree", pinfo, false } })
   lu.assertIs(seen.shown[1][1], one)
   lu.assertIs(seen.shown[1][4], tvb)
-end
-
-function T.test_a_frame_of_a_dump()
-  said.line.is_complete, said.line.is_datagram = true, false
-  new_streams():dissect(buffer("YP.."), packet(7))
-  lu.assertEquals({ seen.packets[1].is_complete, seen.packets[1].is_datagram }, { true, false })
 end
 
 function T.test_truncated_packets()
@@ -207,6 +200,7 @@ function T.test_a_conversation_is_tried()
   lu.assertEquals({ seen.packets, seen.taken }, { {}, {} })
   said.try_packet = true
   lu.assertTrue(accepts("YP.."))
+  lu.assertEquals({ seen.wants[1], seen.wants[3] }, { "tree", false })
   lu.assertEquals({ seen.ways, seen.packets[1].key, seen.taken },
     { { "try_packet" }, 7 * PACKET + 42, { { false, 14550 } } })
   said.try_packet, said.line.is_tcp, seen.taken = true, true, {}

@@ -39,6 +39,7 @@ end
 -- A row as a packet: key, bytes, what it holds, what it holds when all have come (the same if left out), other fields.
 local function packet_of(row, other)
   local packet = { key = row[1], number = row[1], bytes = row[2], length = #row[2], epoch = 0, stream = "", tag = 0 }
+  packet.line = packet -- it has the fields of its line, too
   for _, fields in ipairs { other or {}, row } do
     for name, value in pairs(fields) do
       if type(name) == "string" then packet[name] = value end
@@ -225,7 +226,7 @@ end
 function T.test_the_end_of_a_packet_that_was_not_captured()
   for _, row in ipairs { { A, 1 }, { "text", 1 }, { A .. B:sub(1, 12), 0 }, { A .. B:sub(1, 11), 1 } } do
     local self = new()
-    self:add(packet_of { 1, row[1], truncated = true, is_datagram = true, epoch = 1000, bus_name = "eth0" }, true)
+    self:add(packet_of { 1, row[1], truncated = true, is_datagram = true, epoch = 1000, bus = "eth0" }, true)
     lu.assertEquals(#self:drops(), row[2])
   end
 end
@@ -427,7 +428,7 @@ local function segments(rows, first_seq)
       local bytes = ALL:sub(row[2], row[3])
       local epoch = 1000 + (row.time or row[1] / 100)
       local packet = packet_of({ row[1], bytes, seq = (first_seq + row[2]) % 0x100000000, epoch = epoch,
-        bus_name = "eth0" })
+        bus = "eth0" })
       lu.assertEquals(in_words(self:add(packet, true), bytes), row[4], "packet " .. i)
     else
       local ack = row.acknowledges and (first_seq + row.acknowledges) % 0x100000000

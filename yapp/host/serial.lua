@@ -92,14 +92,9 @@ local function new_packet(self, line, pinfo, offset, bytes, length, wants)
     bytes = bytes, -- those that were captured
     length = length,
     truncated = is_truncated,
-    is_datagram = line.is_datagram, -- true if it is of UDP
-    is_complete = line.is_complete, -- true if the framing of a raw dump made it
-    is_tcp = line.is_tcp,
     is_found = self.reading.found[line.trial_key], -- true if its conversation was found by content
     line = line,
     stream = line.key,
-    tag = line.tag,
-    bus_name = line.bus,
     seq = nil, -- of TCP, if it is known: of the first byte
     is_bus_known = true, -- true if the capture tells where it was captured
     is_only_pass = wants.is_only_pass, -- true if it is never dissected again
@@ -107,13 +102,14 @@ local function new_packet(self, line, pinfo, offset, bytes, length, wants)
   }
 end
 
--- Return the record of all bytes that a dissector gets.
-local function whole_packet(self, tvb, pinfo, wants)
+-- Return the record of all bytes that a dissector gets, and what is wanted of them.
+local function whole_packet(self, tvb, pinfo, tree)
   local line, is_bus_known = line_of(self, pinfo)
+  local wants = self.builder:wants(tree, pinfo, pinfo.visited)
   local bytes = tvb:len() > 0 and tvb:raw() or ""
   local packet = new_packet(self, line, pinfo, tvb:offset(), bytes, tvb:reported_len(), wants)
   packet.is_bus_known = is_bus_known
-  return packet
+  return packet, wants
 end
 
 -- Return whether a packet of an unknown conversation may go on with a frame.
@@ -126,12 +122,12 @@ local function try_packet(self, packet, pinfo)
   local is_found, is_in_pieces, has_failed = self.reading:try_packet(packet)
   local port = math.min(pinfo.src_port, pinfo.dst_port)
   local client_port = math.max(pinfo.src_port, pinfo.dst_port)
-  local one = { is_tcp = packet.is_tcp, port = port, client_port = client_port }
+  local one = { is_tcp = packet.line.is_tcp, port = port, client_port = client_port }
   if is_in_pieces then table.insert(self.in_pieces, one) end
   -- Another protocol that has a port may have taken the first pieces.
   local is_late = has_failed or is_in_pieces and ports.has_other(pinfo)
   if is_late then table.insert(self.read_late, one) end
-  if is_found then ports.register(packet.is_tcp, port) end
+  if is_found then ports.register(packet.line.is_tcp, port) end
   return is_found
 end
 
@@ -148,8 +144,8 @@ function Dissector:accepts(tvb, pinfo, tree)
   if not (may_begin and reading:may_be_yapp(bytes) or may_go_on(streams, pinfo)) then
     return false
   end
-  local wants = self.builder:wants(tree, pinfo, false)
-  return try_packet(self, whole_packet(self, tvb, pinfo, wants), pinfo)
+  local packet = whole_packet(self, tvb, pinfo, tree)
+  return try_packet(self, packet, pinfo)
 end
 
 --- Return notes on conversations whose packets hold no whole header: a list of texts.
@@ -226,8 +222,7 @@ local function dissect_in_tcp(self, tvb, pinfo, tree)
     segment.is_ours = true -- these bytes may be of several: dissect_segment shows it
     return true
   end
-  local wants = self.builder:wants(tree, pinfo, pinfo.visited)
-  local packet = whole_packet(self, tvb, pinfo, wants)
+  local packet, wants = whole_packet(self, tvb, pinfo, tree)
   if is_direct then
     self:watch_tcp()
   else
@@ -250,8 +245,7 @@ function Dissector:dissect(tvb, pinfo, tree)
   if pinfo.port_type == lines.TCP then
     return dissect_in_tcp(self, tvb, pinfo, tree) and size or 0
   end
-  local wants = self.builder:wants(tree, pinfo, pinfo.visited)
-  local packet = whole_packet(self, tvb, pinfo, wants)
+  local packet, wants = whole_packet(self, tvb, pinfo, tree)
   return dissect(self, packet, wants, tvb, pinfo, tree) and size or 0
 end
 
@@ -296,8 +290,7 @@ end
 function Dissector:dissect_skipped(tvb, pinfo, tree)
   local size = tvb:len()
   if size > 0 then
-    local wants = self.builder:wants(tree, pinfo, pinfo.visited)
-    local packet = whole_packet(self, tvb, pinfo, wants)
+    local packet, wants = whole_packet(self, tvb, pinfo, tree)
     self.view:show(packet, self.reading:add_skipped(packet), wants, tvb, pinfo, tree)
   end
   return size

@@ -232,9 +232,9 @@ end
 -- Return the result of a packet: its contents, as serial.streams has them, with the results of its
 -- findings.
 local function new_packet_result(self, packet, contents)
-  local results = {}
-  for i, finding in ipairs(contents.findings) do
-    results[i] = report(self, finding_result(self, packet, finding, i))
+  local results, findings = {}, contents.findings
+  for i = 1, #findings do
+    results[i] = report(self, finding_result(self, packet, findings[i], i))
   end
   return {
     results = results,

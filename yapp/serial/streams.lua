@@ -88,13 +88,22 @@ end
 local function add_bytes(stream, contents, overlap)
   local framer, packet, findings = stream.framer, contents.packet, stream.findings
   contents.packet, contents.overlap, contents.from = nil, overlap, framer.to
-  if packet.is_tcp then framer:expect_telnet() end
-  framer:add(packet.bytes:sub(overlap + 1), packet.truncated, findings)
+  if packet.line.is_tcp then framer:expect_telnet() end
+  local bytes = overlap > 0 and sub(packet.bytes, overlap + 1) or packet.bytes
+  framer:add(bytes, packet.truncated, findings)
   contents.to = framer.to
   local last = findings[#findings]
   if packet.truncated and last and last.missing then last.status = "truncated" end
   stream.last = stream.last + 1
   stream.pieces[stream.last] = contents
+end
+
+-- Drop the contents whose bytes all come before an offset.
+local function drop_pieces(stream, offset)
+  while stream.first <= stream.last and stream.pieces[stream.first].to <= offset do
+    stream.pieces[stream.first] = nil
+    stream.first = stream.first + 1
+  end
 end
 
 -- Set where the bytes of a finding are.
@@ -107,6 +116,7 @@ local function locate_finding(stream, finding, contents)
     return
   end
   if finding.status == "skipped" then return end
+  drop_pieces(stream, finding.from)
   stream.is_cut, finding.packet_keys = true, {}
   for i = stream.first, stream.last do
     local piece = stream.pieces[i]
@@ -114,14 +124,6 @@ local function locate_finding(stream, finding, contents)
       finding.packet_keys[#finding.packet_keys + 1] = piece.key
       if piece ~= contents then piece.leads_to = contents.key end
     end
-  end
-end
-
--- Drop the contents whose bytes all come before an offset.
-local function drop_pieces(stream, offset)
-  while stream.first <= stream.last and stream.pieces[stream.first].to <= offset do
-    stream.pieces[stream.first] = nil
-    stream.first = stream.first + 1
   end
 end
 
@@ -148,7 +150,7 @@ end
 
 -- Return the gap that a segment shows, see Streams:drops.
 local function new_gap(stream, segment)
-  local bus = stream.latest.bus_name
+  local bus = stream.latest.line.bus
   return { time = segment.epoch, frame = segment.number, bus = bus, count = 1 }
 end
 
@@ -260,8 +262,9 @@ end
 
 -- Return the findings of a datagram that is complete in itself, nil for any other packet.
 local function split_alone(self, packet)
-  local is_complete = packet.is_complete
-  if not (packet.is_datagram or is_complete) or packet.truncated then return nil end
+  local line = packet.line
+  local is_complete = line.is_complete
+  if not (line.is_datagram or is_complete) or packet.truncated then return nil end
   local findings = self:split(packet.bytes)
   return (is_complete or is_plain(findings, packet.bytes)) and findings or nil
 end
@@ -270,7 +273,7 @@ end
 -- is_alone  true if the packet is complete in itself: then its messages are compared
 local function stream_of(self, packet, is_alone)
   local key = packet.stream
-  if is_alone or not packet.is_datagram then return self.by_key[key], false end
+  if is_alone or not packet.line.is_datagram then return self.by_key[key], false end
   local number = self.repeats:copy_number(packet)
   if number == 0 then return self.by_key[key], false end
   return self.copies_by_key[key .. "|" .. number], true
@@ -359,7 +362,7 @@ end
 
 -- Keep the contents of a packet for Streams:find.
 local function keep_contents(self, packet, contents)
-  local can_be_read_anew = not packet.is_datagram and is_plain(contents.findings, packet.bytes)
+  local can_be_read_anew = not packet.line.is_datagram and is_plain(contents.findings, packet.bytes)
   self.contents_by_key[packet.key] = can_be_read_anew and PLAIN or contents
 end
 
@@ -374,14 +377,12 @@ end
 --- Add the next packet of the capture.
 -- packet  {
 --   key          frame key; a second frame with this key replaces the first
---   number       of the packet; bus_name = or nil
+--   number       of the packet
 --   epoch        of a segment, or if it is truncated: seconds since 1970
 --   bytes        string: those that were captured
 --   truncated    true if the packet had more
---   is_datagram, is_tcp  true if it is of UDP, of TCP
---   is_complete  true if the framing of a raw dump made it
 --   is_found     true if its conversation was found by content: it may have datagrams of others
---   stream       key of the stream; tag = of its line
+--   stream       key of the stream; line = of serial.lines
 --   seq          of TCP, if it is known: sequence number of the first byte
 --   length       number of bytes that it had }
 -- is_stored  true if Streams:find may ask for it
@@ -396,7 +397,7 @@ end
 --   is_others true if it is a datagram of others: no other field of it holds
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
 function Streams:add(packet, is_stored)
-  local may_be_of_others = packet.is_found and packet.is_datagram
+  local may_be_of_others = packet.is_found and packet.line.is_datagram
   if may_be_of_others and is_of_mavlink(self, packet.bytes) then
     local contents = new_contents(packet, {})
     contents.is_others = true
@@ -474,15 +475,15 @@ local function new_trial(self, packet)
     framer = self.new_framer(),
     repeats = repeats.new(self.can_judge),
     -- The same if each datagram was recorded twice: pieces smaller than a header do not show it.
-    paired_framer = packet.is_datagram and self.new_framer() or nil,
-    paired_repeats = packet.is_datagram and repeats.new(self.can_judge) or nil,
+    paired_framer = packet.line.is_datagram and self.new_framer() or nil,
+    paired_repeats = packet.line.is_datagram and repeats.new(self.can_judge) or nil,
     packets = {},
-    tag = packet.tag,
-    is_tcp = packet.is_tcp,
+    tag = packet.line.tag,
+    is_tcp = packet.line.is_tcp,
     has_header = false, -- true if the begin of one came
   }
-  if packet.is_tcp then trial.framer:expect_telnet() end
-  if packet.is_datagram then trial.paired_repeats:expect_pairs(packet.stream) end
+  if packet.line.is_tcp then trial.framer:expect_telnet() end
+  if packet.line.is_datagram then trial.paired_repeats:expect_pairs(packet.stream) end
   self.trials[packet.stream] = trial
   count_trial(self, trial.tag, 1)
   return trial
@@ -490,7 +491,7 @@ end
 
 -- Return the trial that a packet belongs to, which may be new; nil for none.
 local function trial_for(self, packet)
-  if packet.is_datagram and is_of_mavlink(self, packet.bytes) then return nil end
+  if packet.line.is_datagram and is_of_mavlink(self, packet.bytes) then return nil end
   return self.trials[packet.stream] or new_trial(self, packet)
 end
 
@@ -544,7 +545,7 @@ local function has_packet(trial, packet)
   local packets = trial.packets
   local latest = packets[#packets]
   if latest and latest.key == packet.key then return true end
-  if not packet.is_datagram or trial.repeats:copy_number(packet) == 0 then return false end
+  if not packet.line.is_datagram or trial.repeats:copy_number(packet) == 0 then return false end
   packets[#packets + 1] = packet
   return true
 end
