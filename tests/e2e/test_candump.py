@@ -25,7 +25,7 @@ CAPTURES = ROOT / "test_captures"
 TSHARK = os.environ.get("TSHARK", "tshark")
 
 REGISTER = """
-package.path = "%s/?.lua;" .. package.path
+package.path = "%s/?.lua" -- and nowhere else
 local reader = require("yapp.file.readers")
 reader.register {}
 io.stderr:write("reader registered\\n")
