@@ -498,6 +498,15 @@ def test_rounded_values():
             assert abs(float(cell) - float(exact)) <= unit / 2 + 1e-9, (name, exact, cell)
 
 
+def test_no_rounded_zero_is_negative(folder):
+    """The count below that of 0 A is -0.004 A."""
+    path, name = folder / "zero.pcap", "taurus.motor.dc_current"
+    path.write_bytes(make.pcap(make.Source(f"can0 fd [210 {(bytes([0xFC, 0x7F]) * 6 + bytes(20)).hex(' ')}]\n")))
+    assert -0.005 < float(tshark.fields(path, [name])[0][0]) < 0
+    shown = tshark.run("-r", path, "-o", f'gui.column.format:"{name}","%Cus:{name}.rounded:0:R"').stdout
+    assert shown.split() == ["0"]
+
+
 # Capture, frame, field, and how the tree reads.
 TREE = [
     ("document_motor", 5, "taurus.motor.dc_voltage", "DC Voltage: 47.97314 V"),
