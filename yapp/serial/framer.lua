@@ -187,9 +187,9 @@ end
 -- Check the CRC of a frame; return whether it is good.
 -- text, index  its bytes, from there on; length = of it
 function Framer:check_crc(text, index, length)
-  local class, earned = CLASSES[length], MAX_CREDIT + CREDIT * self.to
-  local spent = math.max(self.spent[class] or 0, earned - MAX_CREDIT) + length
-  if spent > earned then return false end
+  local class, earned = CLASSES[length], CREDIT * self.to
+  local spent = math.max(self.spent[class] or 0, earned) + length
+  if spent > earned + MAX_CREDIT then return false end
   self.spent[class] = spent
   local to = index + length - 1
   local sum = crc.update(SYNC_REGISTER, text, index + #frame.SYNC, to - CRC_SIZE)
@@ -238,14 +238,14 @@ end
 function Framer:add_finding(to, status, missing, bytes)
   local from, offset = self.from, self.from - self.text_from
   self.from = to
-  table.insert(self.findings, {
+  self.findings[#self.findings + 1] = {
     status = status,
     missing = missing,
     from = from,
     to = to,
     is_telnet = bytes and true,
     bytes = bytes or sub(self.text, offset + 1, offset + to - from),
-  })
+  }
 end
 
 -- Skip the bytes up to an offset.  They go to the latest finding if it is of skipped bytes, too.

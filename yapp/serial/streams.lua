@@ -347,16 +347,14 @@ local function add_to_stream(self, stream, contents)
   else
     add_bytes(stream, contents, 0)
   end
-  for _, finding in ipairs(findings) do
-    drop_pieces(stream, finding.from)
-    locate_finding(stream, finding, contents)
-  end
+  for i = 1, #findings do locate_finding(stream, findings[i], contents) end
   drop_pieces(stream, framer.from)
   if contents.packet then -- its bytes wait for a missing segment
     contents.is_held, contents.pending = true, #packet.bytes
   elseif contents.to > framer.from then
+    local _, missing = framer:open_frame()
     contents.pending = contents.to - math.max(contents.from, framer.from)
-    contents.missing = select(2, framer:open_frame())
+    contents.missing = missing
   end
 end
 
