@@ -75,10 +75,10 @@ def test_a_tag_of_another_version(repository):
 
 
 def test_builds_that_differ(repository):
-    """The comparison itself: a build that writes the time of day."""
+    """The comparison itself: a build that writes the time of day, instead of the wheel."""
     text = (repository / "tools/dist.py").read_text()
     assert "**wheel()" in text
-    (repository / "tools/dist.py").write_text(text.replace("**wheel()", '**wheel(), "x.zip": {"x": str(time.time_ns()).encode()}'))
+    (repository / "tools/dist.py").write_text(text.replace("**wheel()", '"x.zip": {"x": str(time.time_ns()).encode()}'))
     git(repository, ["commit", "-qam", "x"], ["tag", "-f", TAG])
     done = run(repository, "tools/release.sh", TAG)
     assert done.returncode == 1 and "two builds differ" in done.stderr
