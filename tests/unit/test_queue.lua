@@ -28,7 +28,7 @@ local function notes(code, text)
   local self = { got = {} }
   function self.add_event(_, event) self.got[#self.got + 1] = event.raws end
   function self.finish(_, ending)
-    self.last = ending.rel
+    self.last, self.begin = ending.rel, ending.begin
     return code, text
   end
   return self
@@ -95,10 +95,25 @@ function T.test_events_of_earlier_packets()
   offer(queue, 3, "b")
   queue:packet(3, 3)
   offer(queue, 2, "c")
+  offer(queue, 3, "of the latest packet")
   offer(queue, 4, "d")
   queue:packet(4, 4)
   finish(queue)
-  lu.assertEquals(one.got, { "b", "c", "d" })
+  lu.assertEquals(one.got, { "b", "c", "of the latest packet", "d" })
+end
+
+-- What the reading still had when all packets had come.
+function T.test_events_of_the_end()
+  local queue, one = new_queue(), notes()
+  add(queue, one)
+  queue:set_begin(1700000000, 500000000, 0)
+  offer(queue, 1, "a")
+  queue:packet(1, 1)
+  queue:end_packets()
+  offer(queue, 7, "b")
+  lu.assertEquals(one.got, { "a", "b" })
+  finish(queue)
+  lu.assertEquals(one.begin, 1700000000.5)
 end
 
 function T.test_messages_in_the_order_of_the_capture()
@@ -150,14 +165,14 @@ function T.test_losses()
   local message, other = {}, {}
   local rows = { { "a" },
     { "b", { is_withdrawn = true }, message }, { "c", {}, message }, { "d" }, { "e", {}, message },
-    { "f", {}, other }, { "g", {} }, { "h", {} } }
+    { "f", {}, other }, { "g", {} }, { "h", {} }, { "i", { is_open = true } } } -- the last is sure at the end
   for frame, row in ipairs(rows) do
     local values = row[2] and { shown = { what = "incomplete" }, anomaly = row[2], lost = row[3] }
     queue:offer(event_of(frame, row[1], row[2] and "incomplete", values), false)
     queue:packet(frame, frame)
   end
   lu.assertEquals(finish(queue), { 0, {} })
-  lu.assertEquals(one.got, { "a", "d", "c", "f", "g", "h" })
+  lu.assertEquals(one.got, { "a", "d", "c", "f", "g", "h", "i" })
 end
 
 -- Losses that are sure do not wait for the end, which would cost memory for each.

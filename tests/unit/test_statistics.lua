@@ -539,6 +539,13 @@ function T.test_what_was_not_decoded_was_not_checked()
 end
 
 -- On CAN the key of a source is a number, which is no place in a list: thousands of sources.
+-- A window shows when an event came, without the steps back of the capture's clock; so do events that a message shows.
+function T.test_times_of_events_in_a_window()
+  local records = { record(1, 10), record(2, 3.8, { change = raised(1, 1, 0) }) }
+  local printed = run({ "events" }, records, { frames = {} })
+  lu.assertStrMatches(printed:match("\n([^\n]*hot raised)"), "%s*10%.000  left .*")
+end
+
 function T.test_faults_of_thousands_of_sources()
   local records, count = {}, 6000
   for i = 1, count do
@@ -827,6 +834,14 @@ function T.test_compare_says_who_fell_silent()
   lu.assertStrContains(shown, "M4      100    100.5  101  silent\n")
   lu.assertStrContains(shown, "M5      100  130.333  190  ▲ max silent\n")
   lu.assertStrContains(run({ "compare" }, records, { frames = {} }), "M5      100  190  ▲ silent\n")
+end
+
+-- Longer than late * every, 0.25 s of Motor Data.
+function T.test_compare_says_from_when_on_a_source_is_silent()
+  for last, is_silent in pairs { [0.24] = false, [0.26] = true } do
+    local shown = run({ "compare" }, { record(1, 0), record(2, 0, { source = RIGHT }), record(3, last) })
+    lu.assertEquals(shown:find("silent", 1, true) ~= nil, is_silent, last)
+  end
 end
 
 -- How long a source is silent at the end.
