@@ -3,9 +3,10 @@
 -- previous message.  Pure Lua.
 
 local compiler = require "yapp.message.catalogue"
-local records = require "yapp.reading.records"
 
 local M = {}
+
+local NONE = {} -- to be read only
 
 -- A transfer that lacks bytes, or has too many, at an unknown offset.
 local IS_BROKEN = { incomplete = true, overrun = true }
@@ -24,6 +25,33 @@ function M.new(types, history, copies)
     copies = copies,
     advised = {}, -- [id of an unknown message] = the frame key whose Info has the whole advice
   }, Messages)
+end
+
+-- Make the record of the message of a transfer.
+-- frame  that ends it
+local function new_message(frame, transfer)
+  return { -- Lua makes room for 16 fields or for 32: more than 16 cost 2 % of a packet list
+    transfer = transfer,
+    source = frame.source, -- see message.types
+    seq = frame.seq,
+    key = frame.key,
+    time = frame.time, -- seconds since the first packet
+    status = transfer.status,
+    payload = transfer.payload, -- the bytes of it that came
+    raws = false, -- the values by index of field (message.decode); false if the size does not fit
+    remarks = NONE, -- the remarkable values (message.decode)
+    undecoded = false, -- number of payload bytes behind the type's size, false for none
+    -- Of an unknown message: { type = that has its size, is_advised = true if Info says in full
+    -- which preference decodes it }; false if no type has its size.
+    like = false,
+    copy_of = false, -- frame key of the message that it is a copy of, or false
+    -- Of message.history:
+    change = false, -- the change, or false
+    delta = false, -- seconds since the source's previous good message, or false
+    state = false, -- the state at the message, or false if it is not known or not wanted
+    -- True if its past is not known: nothing tells its bus, or controllers share its source.
+    is_unreliable = not (frame.visited or frame.is_bus_known),
+  }
 end
 
 -- Decode the values.  The payload has min_size bytes of its type at least.  Only a good message may
@@ -63,13 +91,18 @@ local function add_history(self, message, frame)
   if message.source.line and message.status ~= "good" then message.delta = false end
 end
 
+local function is_usual(message)
+  if message.status ~= "good" or not message.raws then return false end
+  return not (message.remarks[1] or message.undecoded or message.copy_of or message.change)
+end
+
 --- Read the message of a transfer.
 -- frame     that ends it, see reading.records
 -- transfer  { status, size, payload }; status = "good" if it is proved complete; "bad" (CRC);
 --           "truncated" by the capture; "incomplete"; "overrun"
--- returns   the message
+-- returns   the message, and whether it is good and decoded and has nothing else to show
 function Messages:read(frame, transfer)
-  local of_type, message = frame.source.message, records.new_message(frame, transfer)
+  local of_type, message = frame.source.message, new_message(frame, transfer)
   if not of_type then
     find_like(self, message)
   elseif not IS_BROKEN[message.status] then
@@ -79,13 +112,7 @@ function Messages:read(frame, transfer)
     message.copy_of = self.copies:find(message, frame.visited, frame.is_only_pass) or false
   end
   if not (message.is_unreliable or message.copy_of) then add_history(self, message, frame) end
-  return message
-end
-
---- Whether a message is good and decoded, and has nothing else to show.
-function M.is_usual(message)
-  if message.status ~= "good" or not message.raws then return false end
-  return not (message.remarks[1] or message.undecoded or message.copy_of or message.change)
+  return message, is_usual(message)
 end
 
 return M

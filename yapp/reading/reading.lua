@@ -84,19 +84,19 @@ end
 
 -- Read the message that a frame ends.
 local function end_message(self, of_frame, kind, transfer)
-  local message = self.messages:read(of_frame, transfer)
+  local message, is_usual = self.messages:read(of_frame, transfer)
   local is_kept = kind == "single" or of_frame.visited or of_frame.is_only_pass
   if not is_kept then self.reassembly:keep(transfer, message.remarks.has_fault) end
-  return message
+  return message, is_usual
 end
 
 -- Return the result of a frame, and report it.
 -- kind ...  of can.reassembly
 local function new_frame_result(self, of_frame, kind, transfer, anomalies, index)
-  local result, message = self.result, false
+  local result, message, is_usual = self.result, false, true
   of_frame.seq = of_frame.can_id.seq
   if kind == "last" or kind == "single" then
-    message = end_message(self, of_frame, kind, transfer)
+    message, is_usual = end_message(self, of_frame, kind, transfer)
   end
   result.kind = kind
   result.frame = of_frame
@@ -104,8 +104,7 @@ local function new_frame_result(self, of_frame, kind, transfer, anomalies, index
   result.message = message
   result.anomalies = anomalies or false
   result.index = index or false
-  result.is_usual = not anomalies and #of_frame.data == of_frame.reported and
-    (not message or messages.is_usual(message))
+  result.is_usual = is_usual and not anomalies and #of_frame.data == of_frame.reported
   return report(self, result)
 end
 
@@ -224,8 +223,8 @@ local function finding_result(self, packet, finding, index)
   local of_frame = records.new_serial_frame(packet, index, source, seq)
   local result = records.new_result("single", of_frame)
   result.transfer, result.anomalies = transfer, anomalies
-  result.message = self.messages:read(of_frame, transfer)
-  result.is_usual = not anomalies and messages.is_usual(result.message)
+  local message, is_usual = self.messages:read(of_frame, transfer)
+  result.message, result.is_usual = message, is_usual and not anomalies
   return result
 end
 

@@ -5,8 +5,6 @@
 
 local M = {}
 
-local NONE = {} -- to be read only
-
 --- Make the record of a CAN frame.  It is used again for the next frame, which saves a tenth of a
 -- packet list: keep no reference to it.
 function M.new_can_frame()
@@ -45,33 +43,6 @@ function M.new_serial_frame(packet, index, source, seq)
     is_only_pass = packet.is_only_pass,
     wants_state = packet.wants_state,
     source = source, -- the line, of skipped bytes
-  }
-end
-
---- Make the record of the message of a transfer, which reading.messages fills in.
--- frame  that ends it
-function M.new_message(frame, transfer)
-  return { -- Lua makes room for 16 fields or for 32: more than 16 cost 2 % of a packet list
-    transfer = transfer,
-    source = frame.source, -- see message.types
-    seq = frame.seq,
-    key = frame.key,
-    time = frame.time, -- seconds since the first packet
-    status = transfer.status,
-    payload = transfer.payload, -- the bytes of it that came
-    raws = false, -- the values by index of field (message.decode); false if the size does not fit
-    remarks = NONE, -- the remarkable values (message.decode)
-    undecoded = false, -- number of payload bytes behind the type's size, false for none
-    -- Of an unknown message: { type = that has its size, is_advised = true if Info says in full
-    -- which preference decodes it }; false if no type has its size.
-    like = false,
-    copy_of = false, -- frame key of the message that it is a copy of, or false
-    -- Of message.history:
-    change = false, -- the change, or false
-    delta = false, -- seconds since the source's previous good message, or false
-    state = false, -- the state at the message, or false if it is not known or not wanted
-    -- True if its past is not known: nothing tells its bus, or controllers share its source.
-    is_unreliable = not (frame.visited or frame.is_bus_known),
   }
 end
 
