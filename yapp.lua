@@ -71,7 +71,7 @@ local usb = later "yapp.host.usb"
 -- Fields can be registered only while a plugin loads, and then the API tells no preference.  So the
 -- default profile's preference is read from its file.
 local default_profile = Dir.personal_config_path("preferences")
-local chosen_file = catalogue_files.preference(default_profile, "yapp.messages")
+local chosen_file = catalogue_files.read_preference(default_profile, "yapp.messages")
 
 local function load_catalogue()
   local files = { { path = here .. "taurus_fields.lua" },
@@ -370,13 +370,13 @@ end
 
 local function read_preferences()
   local prefs, chosen = yapp.prefs, {}
-  field_kinds.use_below_top(prefs.divisor)
+  field_kinds.choose_divisor(prefs.divisor)
   for _, message in ipairs(catalogue.messages) do
-    chosen[message.name] = preferences.range(prefs[message.name .. "_ids"])
+    chosen[message.name] = preferences.parse_range(prefs[message.name .. "_ids"])
   end
   local by_id, clashes = compiler.assign(catalogue, chosen)
   local sources, unread = source_names.parse(prefs.sources, catalogue)
-  local late, no_number = preferences.late(prefs.late)
+  local late, no_number = preferences.parse_late(prefs.late)
   local link_types = preferences.register_link_types(prefs.user_dlt, serial)
   local wrong = joined(clashes, unread, no_number, link_types)
   preferences.complain_once(wrong)

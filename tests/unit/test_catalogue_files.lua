@@ -157,9 +157,9 @@ function T.test_a_preference_in_its_file()
     [""] = "none", ["a.yapp.messages: no\n"] = "none", ["yapp.messages_too: no\n"] = "none",
     ["yapp.messages: last"] = "last",
   } do
-    lu.assertEquals(files.preference(write(text), "yapp.messages") or "none", value, text)
+    lu.assertEquals(files.read_preference(write(text), "yapp.messages") or "none", value, text)
   end
-  lu.assertNil(files.preference(write("") .. ".no", "yapp.messages"))
+  lu.assertNil(files.read_preference(write("") .. ".no", "yapp.messages"))
 end
 
 -- docs/catalogue.md names every option and type: an unknown one is answered with the list of those there are.

@@ -46,14 +46,14 @@ end
 -- Preferences -------------------------------------------------------------------------------------
 
 function T.test_ranges()
-  local range = require("yapp.host.preferences").range
+  local range = require("yapp.host.preferences").parse_range
   lu.assertEquals(range(""), {})
   lu.assertEquals(range("528"), { 528 })
   lu.assertEquals(range("528,768-771,769,5"), { 528, 768, 769, 770, 771, 5 })
 end
 
 function T.test_late()
-  local late = require("yapp.host.preferences").late
+  local late = require("yapp.host.preferences").parse_late
   local function read(text)
     local number, problems = late(text)
     return { number, #problems }

@@ -120,8 +120,8 @@ end
 function T.setUp()
   seen = { calls = {}, arguments = {}, made = {}, protos = {}, tables = {}, statistics = {}, stderr = {} }
   said = {
-    ["preferences.range"] = function(text) return text and { tonumber(text) } or {} end,
-    ["preferences.late"] = function(text) return tonumber(text), {} end,
+    ["preferences.parse_range"] = function(text) return text and { tonumber(text) } or {} end,
+    ["preferences.parse_late"] = function(text) return tonumber(text), {} end,
     ["preferences.register_link_types"] = function() return {} end,
     ["preferences.define"] = function(proto, catalogue)
       seen.catalogue = catalogue
@@ -414,7 +414,7 @@ function T.test_all_extended_frames()
 end
 
 function T.test_wishes_that_were_not_met()
-  said["preferences.late"] = function() return 2.5, { "late" } end
+  said["preferences.parse_late"] = function() return 2.5, { "late" } end
   said["preferences.register_link_types"] = function() return { "link types" } end
   open(true, function(prefs) prefs.messages, prefs.motor_ids, prefs.sources = "/own.lua", "0", "x" end)
   local problems = seen.made.taps[1].settings.problems

@@ -152,7 +152,7 @@ local function parse_head(line)
 end
 
 -- Fill in time and data, or return why not.
-local function fill(record, stamp, line, read, a, b, c)
+local function fill_record(record, stamp, line, read, a, b, c)
   if not record.id then return ID end
   local why = stamp and parse_stamp(record, stamp) or read(record, a, b, c, line)
   local max_length = record.fd and 64 or 8
@@ -170,7 +170,7 @@ local function frame_of(line)
     bus = bus, id = parse_id(id), fd = false, sent = sent, flags = flags, raw_dlc = 0,
     is_relative = false, is_short = false,
   }
-  local why = fill(record, stamp, line, read, a, b, c)
+  local why = fill_record(record, stamp, line, read, a, b, c)
   if not why then return record end
   return nil, stamp and why or UNKNOWN
 end

@@ -97,7 +97,7 @@ end
 
 --- Return the numbers of a range, each once, in its order.
 -- text  as Wireshark writes a range, "528,768-771": it refuses all else
-function M.range(text)
+function M.parse_range(text)
   local numbers, is_there = {}, {}
   for first, last in text:gmatch("(%d+)%-?(%d*)") do
     for number = tonumber(first), tonumber(last) or tonumber(first) do
@@ -110,7 +110,7 @@ end
 
 --- Return how many periods a gap may last, a number above 0; and a list of errors.
 -- text  of the preference; if it is not a number above 0, use 2.5
-function M.late(text)
+function M.parse_late(text)
   local late = input.decimal(input.trim(text))
   if late and late > 0 then return late, {} end
   local problem = 'yapp.late: no number above 0 in "%s"; it is 2.5 until you change it'
@@ -127,7 +127,7 @@ local before_us = {} -- [encapsulation] = its dissector before it was ours, or f
 function M.register_link_types(text, proto)
   local encapsulations = DissectorTable.get("wtap_encap")
   local wanted, other = {}, nil
-  for _, dlt in ipairs(M.range(text)) do
+  for _, dlt in ipairs(M.parse_range(text)) do
     if dlt < FIRST_DLT then
       other = other or dlt
     else

@@ -97,7 +97,7 @@ end
 
 --- The value of a preference in a file of Wireshark's preferences, nil where it has none.
 -- While a plugin loads, the API tells no preference; but only then can fields be registered.
-function M.preference(path, name)
+function M.read_preference(path, name)
   local file = io.open(path)
   if not file then return nil end
   local text = "\n" .. (file:read("*a") or "") .. "\n"

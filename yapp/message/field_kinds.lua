@@ -39,7 +39,7 @@ M.below_top = M.MAPPING
 
 --- Choose the divisor of all compressed floats.
 -- below_top  M.MAPPING, or M.WORKED_EXAMPLES to reproduce the printed figures
-function M.use_below_top(below_top)
+function M.choose_divisor(below_top)
   M.below_top = below_top
 end
 
@@ -257,12 +257,12 @@ end
 -- The kinds ---------------------------------------------------------------------------------------
 
 -- Return the kind of a filter of a field's width.
-local function sized(prefix, base_of)
+local function type_of_width(prefix, base_of)
   return function(field) return prefix .. field.size * 8, base_of(field) end
 end
 
 -- Return a function that always returns this.
-local function always(result)
+local function constant(result)
   return function() return result end
 end
 
@@ -309,7 +309,7 @@ local function derived_value(item, raws)
 end
 
 -- Return a kind with the parts of another, and its own.
-local function like(base, own)
+local function extend(base, own)
   local kind = {}
   for _, parts in ipairs { base, own } do
     for name, part in pairs(parts) do kind[name] = part end
@@ -330,7 +330,7 @@ local CODE = {
   is_integer = true,
 }
 local NUMBER = {
-  filter = always("DOUBLE"),
+  filter = constant("DOUBLE"),
   shown = "number",
   info = number_info,
   column = "float",
@@ -339,7 +339,7 @@ local NUMBER = {
   is_number = true,
 }
 local TEXT = {
-  choose = always(read_bytes),
+  choose = constant(read_bytes),
   info = text_info,
   column = "string",
   cells = text_cells,
@@ -362,31 +362,35 @@ local TEXT = {
 --   code     format of a code in texts; nil: hexadecimal
 --   is_number, is_integer, is_text
 M.BY_NAME = {
-  uint = like(CODE, { filter = sized("UINT", hexadecimal_if_enum) }),
-  int = like(CODE, {
-    filter = sized("INT", always(nil)),
+  uint = extend(CODE, { filter = type_of_width("UINT", hexadecimal_if_enum) }),
+  int = extend(CODE, {
+    filter = type_of_width("INT", constant(nil)),
     code = "%d", -- COMPAT 5.2: a negative number has no hexadecimal text
   }),
   -- value = count * scale + zero
-  scaled = like(CODE, {
-    filter = always("DOUBLE"),
+  scaled = extend(CODE, {
+    filter = constant("DOUBLE"),
     shown = "number",
     value = function(field, raw) return raw * field.scale + field.zero end,
     info = number_info,
     column = "float",
   }),
-  bool = like(CODE, {
-    filter = always("BOOLEAN"),
-    info = always(function(raw) return BOOLS[raw] or format("invalid 0x%x", raw) end),
+  bool = extend(CODE, {
+    filter = constant("BOOLEAN"),
+    info = constant(function(raw) return BOOLS[raw] or format("invalid 0x%x", raw) end),
     column = "bool",
-    cells = always(function(raw) return raw == 0 and "0" or "1" end),
+    cells = constant(function(raw) return raw == 0 and "0" or "1" end),
     is_number = false,
   }),
   -- A compressed float.
-  float = like(NUMBER, { choose = choose_float, value = float_value, source = float_source }),
-  ieee = like(NUMBER, { choose = always(read_ieee), value = ieee_value, source = special_source }),
+  float = extend(NUMBER, { choose = choose_float, value = float_value, source = float_source }),
+  ieee = extend(NUMBER, {
+    choose = constant(read_ieee),
+    value = ieee_value,
+    source = special_source,
+  }),
   flags = {
-    filter = sized("UINT", always("HEX")),
+    filter = type_of_width("UINT", constant("HEX")),
     shown = "flags",
     choose = choose_integer,
     info = code_info,
@@ -396,23 +400,23 @@ M.BY_NAME = {
     source = flags_source,
   },
   time = {
-    filter = always("RELATIVE_TIME"),
+    filter = constant("RELATIVE_TIME"),
     shown = "time",
-    choose = always(read_bytes),
+    choose = constant(read_bytes),
     number = time_number,
-    info = always(function(raw) return time_text(raw) .. " s" end),
+    info = constant(function(raw) return time_text(raw) .. " s" end),
     column = "time",
     unit = "s",
-    cells = always(time_text),
+    cells = constant(time_text),
   },
   -- A text ends at its first NUL.  A character that cannot be shown is \xnn.
-  string = like(TEXT, {
-    filter = always("STRING"),
+  string = extend(TEXT, {
+    filter = constant("STRING"),
     shown = "text",
     value = function(_, raw) return utf8.value(raw:match("^%Z*")) end,
   }),
-  bytes = like(TEXT, {
-    filter = always("BYTES"),
+  bytes = extend(TEXT, {
+    filter = constant("BYTES"),
     shown = "plain",
     value = function(_, raw) return (raw:gsub(".", hex_digits)) end,
   }),

@@ -56,8 +56,8 @@ files have more.
 ]]
 
 -- Ask for one line.
-local function ask(title, label, default, answered)
-  new_dialog("YAPP " .. title, answered, { name = label, value = default })
+local function ask(title, label, default, on_answer)
+  new_dialog("YAPP " .. title, on_answer, { name = label, value = default })
 end
 
 -- Return a path for a file of the user's: Lua does not know the folder of the capture.
@@ -90,24 +90,24 @@ local function open_window(title, make, stat)
   local total, time = 0, "" -- of the reading
   local is_old = true -- true if the note stands already, or the reading goes on
   local is_closed = false -- a closed window takes no text; the reading may go on without it
-  local function set(text)
+  local function set_text(text)
     if not is_closed then window:set(text) end
   end
   local function on_progress(number)
-    set(READING:format(number, stat.total))
+    set_text(READING:format(number, stat.total))
   end
   local function refresh()
     is_old = true
     on_progress(0)
     content, frames = make(on_progress)
     total, time, is_old = stat.total, os.date("%H:%M:%S"), false
-    set(content)
+    set_text(content)
   end
   -- Say once that the text is old: a new text makes a window scroll to its beginning.
   on_packets_of[window] = function()
     if is_old or stat.total <= total then return end
     is_old = true
-    set(OLD:format(time) .. content)
+    set_text(OLD:format(time) .. content)
   end
   window:set_atclose(function()
     is_closed = true
@@ -159,14 +159,14 @@ function M.register(stat)
 
   for _, row in ipairs(options_of.LIST) do
     local argument = "yapp," .. row.name
-    local function answered(answer)
+    local function on_answer(answer)
       if answer then
         show(answer == "" and argument or argument .. "," .. answer)
       end
     end
     local function action()
       if not row.ask then return show(argument) end
-      ask(row.title, row.ask, row.file and default_path(row.file) or "", answered)
+      ask(row.title, row.ask, row.file and default_path(row.file) or "", on_answer)
     end
     register_menu("YAPP/" .. row.title, action, MENU_TOOLS_UNSORTED)
   end

@@ -61,7 +61,7 @@ local function hint_of(options)
   return is_there and "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
 end
 
-local function say(text)
+local function print_error(text)
   io.stderr:write("yapp: ", (text:gsub("\n", "\nyapp: ")), "\n")
 end
 
@@ -269,7 +269,7 @@ local function conclude(self)
     if code == output.EXIT_OK then code = output.EXIT_UNDECIDED end
   end
   for line in table.concat(texts, "\n"):gmatch("[^\n]+") do
-    if not preferences.has_said((line:gsub("^check: ", ""))) then say(line) end
+    if not preferences.has_said((line:gsub("^check: ", ""))) then print_error(line) end
   end
   -- Other -z statistics of this run lose the rest of their output: the exit code matters more.
   if code ~= output.EXIT_OK then os.exit(code) end
@@ -324,7 +324,7 @@ function Stat:begin(text)
   -- Wireshark swallows an error here, so all that can fail ends with a message and a code.
   local ok, problem = pcall(begin_argument, self, text)
   if not ok then
-    say(tostring(problem))
+    print_error(tostring(problem))
     os.exit(output.EXIT_UNDECIDED)
   end
 end
