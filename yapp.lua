@@ -306,7 +306,7 @@ end
 -- none.
 local function controller_time(bytes)
   local id, size = frame.parse(bytes, 1)
-  local message = types:message_of(id)
+  local message = types:type_of(id)
   local time = message and message.time
   if not time or size < math.max(message.min_size, time.offset + 8) then return nil end
   if #bytes < frame.HEADER + size then return nil end

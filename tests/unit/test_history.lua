@@ -31,7 +31,7 @@ end
 local sources = {}
 local function source_of(name, message, bus)
   local key = ("%s of %s on %s"):format(name, message.name, tostring(bus))
-  sources[key] = sources[key] or { message = message, bus_key = bus }
+  sources[key] = sources[key] or { type = message, bus_key = bus }
   return sources[key]
 end
 
@@ -276,7 +276,7 @@ function T.test_faults_from_rise_to_fall()
   local flags = { { "low", 3, "Low" }, { "hot", 4, "Hot" } }
   local message = catalogue.compile({ { name = "m", title = "M", id = 1, size = 1,
     { "f", "uint8", "F", group = "f", alarm = "A", flags = flags } } }).messages[1]
-  local of_m, messages = { message = message }, {}
+  local of_m, messages = { type = message }, {}
   for i, raw in ipairs { 1, 2, 4, 0, 0x81 } do
     messages[i] = { source = of_m, seq = 0, key = i, time = i, status = "good", raws = { raw }, payload = "" }
   end

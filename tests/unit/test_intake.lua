@@ -16,7 +16,7 @@ local CATALOGUE = catalogue_of.compile {
     { "bits", "uint8", "Bits", group = "b", flags = { { "one", 1, "One" } } },
     { "low", "float8", "Low", min = 0, max = 250 } } }
 local MESSAGE = CATALOGUE.messages[1]
-local SOURCE = { id = 1, bus = "can0", message = MESSAGE }
+local SOURCE = { id = 1, bus = "can0", type = MESSAGE }
 
 -- An intake, and the list of what it offers: { event, visited }.
 local function new_intake()
@@ -158,7 +158,7 @@ function T.test_values_that_are_not_defined()
     { "gear", "int8", "Gear", values = { [-1] = "back", [0] = "none" } },
     { "deep", "int32", "Deep", values = { [0] = "none" } } } }
   local intake, offered = new_intake()
-  local source, payload = { id = 1, message = own.messages[1] }, "\10\255\254\0\0\0\128"
+  local source, payload = { id = 1, type = own.messages[1] }, "\10\255\254\0\0\0\128"
   report_message(intake, message { source = source, of = own.messages[1], payload = payload })
   lu.assertEquals(offered[1][1].values.invalid, {
     { field = "key", value = 10, code = "0x0a", effect = " (the controller ignores this command)" },
@@ -227,7 +227,7 @@ function T.test_bytes_of_several_packets()
     skipped(stream, 3)
     skipped(other, 4)
     skipped(stream, 5)
-    report_message(intake, message { source = { line = other, message = MESSAGE }, frame = 6 })
+    report_message(intake, message { source = { line = other, type = MESSAGE }, frame = 6 })
     skipped(stream, 7)
     report_anomalies(intake, { source = { line = stream }, frame = 8 }, { { expert = "fragment.incomplete" } })
     skipped(stream, 9)

@@ -27,7 +27,7 @@ local function name(message) return message and message.name or "none" end
 
 function T.test_before_the_preferences_are_known()
   local r = types_of.new(TAURUS)
-  lu.assertEquals({ name(r:message_of(0x210)), r:size_of(0x210), name(r:message_of(0x211)) }, { "motor", 32, "none" })
+  lu.assertEquals({ name(r:type_of(0x210)), r:size_of(0x210), name(r:type_of(0x211)) }, { "motor", 32, "none" })
   r:use(catalogue.assign(TAURUS, {}), (sources.parse("", TAURUS)), {}, ignore)
   local source = r:new_source(0x123, false, "can0") -- before a capture file is known
   lu.assertEquals(source.text, "0x123")
@@ -38,7 +38,7 @@ function T.test_which_message_an_id_carries()
   local found = {}
   for i, one in ipairs { { 0x210 }, { 0x211, "can1" }, { 0x300, "can0" }, { 0x301, "can0" }, { 0x301, "can1" },
     { 0x210, "can1" }, { 0x200, "can0" }, { 0 } } do
-    found[i] = name(r:message_of(one[1], one[2]))
+    found[i] = name(r:type_of(one[1], one[2]))
   end
   lu.assertEquals(found, { "motor", "motor", "motor", "none", "health", "health", "health", "command" })
 end
@@ -89,7 +89,7 @@ function T.test_info_leaves_out_what_a_column_says()
     local source = r:new_source(id, false, "can1")
     lu.assertEquals(source.short, said)
     lu.assertStrContains(source.label, source.name or "can1")
-    lu.assertTrue(source.write == (source.message and text_of.writer_of(source.message.info)))
+    lu.assertTrue(source.write == (source.type and text_of.writer_of(source.type.info)))
   end
   r:use(r.by_id, r.sources, { values = true }, ignore)
   for _, message in ipairs(TAURUS.messages) do
@@ -142,7 +142,7 @@ function T.test_what_a_sender_is_called()
   local function source(text) return new(text, nil, true):new_source(0x211, false, "192.168.1.12:40000", line) end
   lu.assertEquals({ source("").text, source("192.168.1.12/0x211=left").text, source("eth0/0x211=motor:right").text },
     { "…12:40000 0x211", "left", "right" })
-  lu.assertEquals({ name(source("").message), name(source("eth0/0x211=motor:right").message) }, { "none", "motor" })
+  lu.assertEquals({ name(source("").type), name(source("eth0/0x211=motor:right").type) }, { "none", "motor" })
 end
 
 return T

@@ -6,7 +6,7 @@ local copies_of = require("yapp.reading.copies")
 
 local T = {}
 
-local MOTOR = { id = 0x210, message = { every = 0.1 } }
+local MOTOR = { id = 0x210, type = { every = 0.1 } }
 
 local function new(lacks_clock, stamps_differ)
   return copies_of.new {
@@ -45,7 +45,7 @@ function T.test_what_is_no_copy()
   lu.assertEquals(found { { 0.0405, "a" }, { 0.0605, "a" } }, { "-", "-" }) -- 0.0605 - 0.0405 is below 0.02 in doubles
   lu.assertEquals(found { { 0, "a" }, { 0.001, "b" } }, { "-", "-" })
   lu.assertEquals(found { { 0, "a" }, { 0.001, "a", MOTOR, 1 } }, { "-", "-" })
-  local other_bus = { id = 0x210, message = MOTOR.message }
+  local other_bus = { id = 0x210, type = MOTOR.type }
   lu.assertEquals(found { { 0, "a" }, { 0.001, "a", other_bus } }, { "-", "-" })
 end
 
@@ -85,7 +85,7 @@ end
 
 -- Half the period of a fast message is less than 20 ms; a message of no known type has 20 ms.
 function T.test_how_far_a_copy_may_be()
-  local fast, unknown = { message = { every = 0.01 } }, {}
+  local fast, unknown = { type = { every = 0.01 } }, {}
   lu.assertEquals(found { { 0, "a", fast }, { 0.0049, "a", fast }, { 0.0051, "a", fast } }, { "-", 1, "-" })
   lu.assertEquals(found { { 0, "a", unknown }, { 0.0199, "a", unknown }, { 0.0201, "a", unknown } }, { "-", 1, "-" })
 end
@@ -136,7 +136,7 @@ end
 -- Some programs give one stamp to all that they send: equal Commands are no copies of the first one, once another
 -- source shows that time goes on.  A source whose stamps go on later is a usual one.
 function T.test_a_source_whose_stamps_stand_still()
-  local sent, other = { id = 0, message = { every = 0.2 } }, {}
+  local sent, other = { id = 0, type = { every = 0.2 } }, {}
   local rows = {}
   for i = 0, 5 do
     rows[#rows + 1] = { 0, "command", sent }
@@ -149,7 +149,7 @@ end
 
 -- What another source sent before shows nothing, nor does the first message of one that comes later.
 function T.test_other_sources_that_do_not_advance()
-  local sent, other, third = { id = 0, message = { every = 0.2 } }, {}, {}
+  local sent, other, third = { id = 0, type = { every = 0.2 } }, {}, {}
   lu.assertEquals(found { { 0, "m", other }, { 0.5, "n", other }, { 0.6, "a", sent }, { 0.6, "a", sent },
     { 0.6, "a", sent } }, { "-", "-", "-", 3, 3 })
   lu.assertEquals(found { { 0, "a", sent }, { 0, "a", sent }, { 0.01, "m", third }, { 0, "a", sent } },

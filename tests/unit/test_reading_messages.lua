@@ -62,7 +62,7 @@ local function at(message, field) return message.by_name[field].offset end
 function T.test_what_a_message_gets()
   local m = read(HEALTH, { [at(HEALTH, "board_revision")] = 9 }, { answer = { add = { missing = 1 }, delta = 1 } })
   local revision = m.raws[HEALTH.by_name.board_revision.index]
-  lu.assertEquals({ m.source.message, revision, m.remarks[1] or false, m.change, m.delta },
+  lu.assertEquals({ m.source.type, revision, m.remarks[1] or false, m.change, m.delta },
     { HEALTH, 9, false, { missing = 1 }, 1 })
   for _, with in ipairs { { id = 0x123 }, { size = 16 }, { status = "incomplete" }, { status = "overrun" },
     { size = 18, status = "bad" } } do

@@ -27,7 +27,7 @@ end
 local sources = {}
 local function source_of(name, message)
   local key = ("%s of %s"):format(name, message.name)
-  sources[key] = sources[key] or { name = name, message = message }
+  sources[key] = sources[key] or { name = name, type = message }
   return sources[key]
 end
 

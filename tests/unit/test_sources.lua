@@ -9,7 +9,7 @@ local T = {}
 
 -- The name of the message that a source was said to carry.
 local function message_name(s, bus, id)
-  local message = s:message(bus, id)
+  local message = s:type_of(bus, id)
   return message and message.name
 end
 
@@ -228,7 +228,7 @@ function T.test_names_that_a_bus_has_with_others()
     { "usb1.7.1#rx", "endpoint" }, { "usb1.7.2#tx", "any", "health" }, { "usb1.60.1#rx", "any", "health" },
     { "[fe80::a]:1", "large" }, { "[fe80::b]:1", "letters" },
   } do
-    local message = found:message(row[1], 0x210, "eth0")
+    local message = found:type_of(row[1], 0x210, "eth0")
     lu.assertEquals({ found:name(row[1], 0x210, "eth0"), message and message.name }, { row[2], row[3] }, row[1])
   end
   lu.assertEquals(found:name("192.168.1.13:40000", 0x300, "eth0"), "by_interface")

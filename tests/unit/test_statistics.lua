@@ -38,19 +38,19 @@ local function payload(volts, flags, mode)
   return string.char(volts, flags or 0, mode or 3) .. "\0\x8d\x38\x0c\1\0\0\0"
 end
 
-local LEFT = { bus_key = 1, bus = "can0", name = "left", id = 0x210, message = MOTOR }
-local RIGHT = { bus_key = 2, bus = 'can"1', id = 0x210, message = MOTOR }
-local HEALTHY = { bus_key = 1, bus = "can0", id = 0x200, message = HEALTH } -- it has no faults
+local LEFT = { bus_key = 1, bus = "can0", name = "left", id = 0x210, type = MOTOR }
+local RIGHT = { bus_key = 2, bus = 'can"1', id = 0x210, type = MOTOR }
+local HEALTHY = { bus_key = 1, bus = "can0", id = 0x200, type = HEALTH } -- it has no faults
 local ODD = { bus_key = 1, bus = "can0", id = 0x300 }
 
-local NAMED_RIGHT = { { id = 0x210, bus = 'can"9', name = "right", message = MOTOR } }
+local NAMED_RIGHT = { { id = 0x210, bus = 'can"9', name = "right", type = MOTOR } }
 
 -- The event of a good message of 10 V; with: what is otherwise.
 local function record(frame, rel, with)
   with = with or {}
   local source, content = with.source or LEFT, with.payload or payload(10)
   local m = { seq = with.seq or 0 }
-  if with.fits ~= false then m.raws = source.message.read(content) end
+  if with.fits ~= false then m.raws = source.type.read(content) end
   local values = with.values or { change = with.change, invalid = with.invalid, undecoded = with.undecoded,
     is_unreliable = with.is_unreliable, size = (with.fits == false or with.undecoded) and #content or nil }
   return kinds_of.new_event(with.kind or "message", frame, rel, source, values, m)
@@ -484,7 +484,7 @@ end
 function T.test_numbers_of_64_bits()
   local catalogue = catalogue_of.compile { { name = "big", title = "Big", id = 2, size = 8,
     { "wide", "uint64", "Wide" } } }
-  local source = { key = "w", id = 2, message = catalogue.messages[1] }
+  local source = { key = "w", id = 2, type = catalogue.messages[1] }
   local records = { record(1, 0, { source = source, payload = "\3\0\0\0\0\0\0\0" }),
     record(2, 1, { source = source, payload = ("\255"):rep(8) }) }
   local with = { catalogue = catalogue }
@@ -505,7 +505,7 @@ function T.test_means_of_counts()
     { "sign", "int8", "Sign" },
     { "rise", "uint16", "Rise", scale = 0.1, offset = -1, unit = "V" },
     { "fall", "int16", "Fall", scale = -2 } } }
-  local source, records = { key = "m", id = 2, message = catalogue.messages[1] }, {}
+  local source, records = { key = "m", id = 2, type = catalogue.messages[1] }, {}
   for i, bytes in ipairs { "\100\255\10\0\1\0", "\255\1\20\0\2\0", "\200\246\30\0\255\255" } do
     records[i] = record(i, i, { source = source, payload = bytes })
   end
@@ -549,7 +549,7 @@ end
 function T.test_faults_of_thousands_of_sources()
   local records, count = {}, 6000
   for i = 1, count do
-    local source = { key = 2047 + i, bus_key = 1, bus = "can0", id = i % 0x800, message = MOTOR }
+    local source = { key = 2047 + i, bus_key = 1, bus = "can0", id = i % 0x800, type = MOTOR }
     records[i] = record(i, i, { source = source, change = raised(1, 1, 0) })
   end
   local _, faults = run({ "faults,json" }, records):gsub('"event":"active"', "")
@@ -560,7 +560,7 @@ end
 function T.test_faults_that_are_active_in_one_packet()
   local records, expected = {}, {}
   for i = 1, 20 do
-    local source = { key = i, bus_key = 1, bus = "can0", id = 100 - i, message = MOTOR }
+    local source = { key = i, bus_key = 1, bus = "can0", id = 100 - i, type = MOTOR }
     records[i] = record(7, 1, { source = source, change = raised(1, 1) })
     expected[i] = 100 - i
   end
@@ -722,8 +722,8 @@ function T.test_bytes_of_no_frame()
   lu.assertEquals(select(2, verdicts("skipped=0", {})), 21)
 end
 
-local NAMED = { { id = 0x210, name = "left", message = MOTOR }, { id = 0x210, bus = "can9", name = "right", message = MOTOR },
-  { id = 0x211, message = MOTOR }, { id = 0x212, name = "tail" } }
+local NAMED = { { id = 0x210, name = "left", type = MOTOR }, { id = 0x210, bus = "can9", name = "right", type = MOTOR },
+  { id = 0x211, type = MOTOR }, { id = 0x212, name = "tail" } }
 
 function T.test_sources_that_never_came()
   local records, with = { record(1, 0) }, { named = NAMED, last = 0.1 }
@@ -739,7 +739,7 @@ function T.test_sources_that_never_came()
   lu.assertEquals(verdicts("source=right,absent=0", records, with)[1], "absent=0 right false 1 null")
   lu.assertEquals(verdicts("source=left,absent=0", records, with)[1], "absent=0 left true 0 null")
   -- a name from BUS=NAME
-  lu.assertEquals(verdicts("absent=0", records, { named = { { id = 0x210, bus = "can0", message = MOTOR } } })[1],
+  lu.assertEquals(verdicts("absent=0", records, { named = { { id = 0x210, bus = "can0", type = MOTOR } } })[1],
     "absent=0 null true 0 null")
   lu.assertEquals(select(2, verdicts("absent=0", records)), 21) -- nobody is named with a message
 end
@@ -798,7 +798,7 @@ end
 function T.test_compare_marks_what_is_far_from_the_others()
   local records = {}
   for i, name in ipairs { "M10", "M2", "M1", "M3" } do
-    local source = { key = name, bus_key = 1, bus = "can0", id = 0x20F + i, name = name, message = MOTOR }
+    local source = { key = name, bus_key = 1, bus = "can0", id = 0x20F + i, name = name, type = MOTOR }
     records[i] = record(i, i / 100, { source = source, payload = payload(100) })
     records[i + 4] = record(i + 4, 1 + i / 100, { source = source, payload = payload(name == "M2" and 150 or 101) })
   end
@@ -819,7 +819,7 @@ end
 function T.test_compare_says_who_fell_silent()
   local records = {}
   for i, name in ipairs { "M1", "M2", "M3", "M4", "M5" } do
-    local source = { key = name, bus_key = 1, bus = "can0", id = 0x20F + i, name = name, message = MOTOR }
+    local source = { key = name, bus_key = 1, bus = "can0", id = 0x20F + i, name = name, type = MOTOR }
     local ends = name == "M4" and 1 or name == "M5" and 2 or 9
     for second = 0, 9 do
       local volts = name == "M5" and second == 2 and 190 or 100 + second
@@ -856,9 +856,9 @@ end
 -- A table for each message, first the one with most fields, an empty line between.
 function T.test_compare_of_several_messages()
   local records = {}
-  for i, source in ipairs { LEFT, RIGHT, { key = "h", bus_key = 1, bus = "can0", id = 0x200, message = HEALTH },
-    { key = "i", bus_key = 2, bus = "can1", id = 0x200, message = HEALTH } } do
-    records[i] = record(i, i / 10, { source = source, payload = source.message == HEALTH and ("\0"):rep(8) or nil })
+  for i, source in ipairs { LEFT, RIGHT, { key = "h", bus_key = 1, bus = "can0", id = 0x200, type = HEALTH },
+    { key = "i", bus_key = 2, bus = "can1", id = 0x200, type = HEALTH } } do
+    records[i] = record(i, i / 10, { source = source, payload = source.type == HEALTH and ("\0"):rep(8) or nil })
   end
   local titles = {}
   local printed = run({ "compare" }, records, { hint = "said once" }) .. "\n"
@@ -894,7 +894,7 @@ function T.test_all_is_well()
   end
   lu.assertEquals(found_kinds, expected)
   lu.assertEquals(code, 0)
-  local note = { key = "n", id = 1, message = NOTE } -- no faults, no clock, no period
+  local note = { key = "n", id = 1, type = NOTE } -- no faults, no clock, no period
   lu.assertEquals(select(2, verdicts("", { record(1, 0, { source = note }) })), 0)
   lu.assertEquals(select(2, verdicts("source=left", records)), 0)
 end
@@ -1019,7 +1019,7 @@ function T.test_messages_that_their_gaps_have_room_for()
   -- exactly one and a half periods have no room for another one
   local own = catalogue_of.compile { { name = "own", title = "Own", id = 0x210, size = 1, every = 0.5,
     { "f", "uint8", "F", group = "g", alarm = "A", flags = { { "hot", 1, "Hot" } } } } }
-  local source = { key = "own", bus = "can0", id = 0x210, message = own.messages[1] }
+  local source = { key = "own", bus = "can0", id = 0x210, type = own.messages[1] }
   for time, expected in pairs { [0.75] = "YAPP faults: 0",
     [0.8] = "damaged or lost messages may hide faults: 1 missing by their period" } do
     local texts = said({ record(1, 0, { source = source, payload = "\0" }),
@@ -1053,7 +1053,7 @@ function T.test_sizes_that_no_preference_decodes()
 end
 
 function T.test_a_yapp_ctl_other_than_0()
-  lu.assertEquals(said({ unknown(1, "", 0x210, 11, { message = MOTOR }) }), { "YAPP faults: 0", "1 message was not decoded: " ..
+  lu.assertEquals(said({ unknown(1, "", 0x210, 11, { type = MOTOR }) }), { "YAPP faults: 0", "1 message was not decoded: " ..
     "0x210 (11 bytes, Motor Data with a YAPP CTL other than 0). Try -o yapp.all_extended:TRUE" })
 end
 
@@ -1084,7 +1084,7 @@ function T.test_preferences_that_decode()
   local records = { unknown(1, "a", 0x300, 11), unknown(2, "b", 0x300, 8) }
   lu.assertEquals(advice(records), '-o "yapp.sources:a/0x300=motor:,b/0x300=health:"')
   lu.assertEquals(advice(records, { sources_text = "can2=tail" }), '-o "yapp.sources:can2=tail,a/0x300=motor:,b/0x300=health:"')
-  records = { unknown(1, "USB, left", 0x210, 8, { message = MOTOR, name = "left" }) }
+  records = { unknown(1, "USB, left", 0x210, 8, { type = MOTOR, name = "left" }) }
   lu.assertEquals(advice(records), [[-o 'yapp.sources:"USB, left"/0x210=health:left']])
   lu.assertNil(advice(records, { sources_text = '"USB, left"/0x210=motor:left' })) -- what stands there holds
   -- two sizes of one source
@@ -1513,7 +1513,7 @@ function T.test_derived_values()
   local catalogue = catalogue_of.compile { { name = "m", title = "M", id = 1, size = 2, { "u", "uint8", "U" },
     { "i", "uint8", "I" }, derived = { { "p", "u * i", "P", unit = "W" } },
     differences = { { "e", "i", "u", "E" } } } }
-  local source = { key = 1, id = 1, message = catalogue.messages[1] }
+  local source = { key = 1, id = 1, type = catalogue.messages[1] }
   local records = { record(1, 0, { source = source, payload = "\3\4" }), record(2, 1, { source = source, payload = "\5\6" }) }
   local with = { catalogue = catalogue }
   lu.assertStrContains(run({ "summary,json" }, records, with), '"e":{"min":1,"mean":1,"max":1},"p":{"min":12,"mean":21,"max":30}}')

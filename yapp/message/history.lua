@@ -55,7 +55,7 @@ function M.new(options)
 end
 
 local function new_source(self, message)
-  local of_type, bus = message.source.message or NO_TYPE, message.source.bus_key or false
+  local of_type, bus = message.source.type or NO_TYPE, message.source.bus_key or false
   local options, answered = self.options, self.commands[of_type.answers]
   local has_times = not options.buses:lacks_times()
   local answering = self.commands[of_type.name]
@@ -102,7 +102,7 @@ end
 -- Return the controller's clock in nanoseconds, exact up to 104 days (2^53 ns); nil for a message
 -- without one.
 local function clock_of(message)
-  local field = message.raws and message.source.message.time
+  local field = message.raws and message.source.type.time
   if not field or #message.payload < field.offset + 8 then return nil end
   local seconds, nanoseconds = binary.time(message.payload, field.offset)
   return seconds * 1e9 + nanoseconds

@@ -123,7 +123,7 @@ local function check_address(bus)
 end
 
 -- Read a part.
--- returns  the bus, the ranges of IDs, the compiled message and the name: nil for each that it does
+-- returns  the bus, the ranges of IDs, the message type and the name: nil for each that it does
 --          not say
 local function parse_part(part, catalogue)
   local bus, id_text, value = split_part(part)
@@ -145,24 +145,24 @@ local function parse_part(part, catalogue)
 end
 
 -- Add a row for an ID, or for all of a bus; return whether an earlier part has it.
-local function add_row(self, bus, id, message, name)
+local function add_row(self, bus, id, of_type, name)
   local of_bus = self.by_bus[bus or false]
   if of_bus[id or "every"] then return true end
-  local row = { bus = bus, id = id, message = message, name = name }
+  local row = { bus = bus, id = id, type = of_type, name = name }
   of_bus[id or "every"] = row
   self.rows[#self.rows + 1] = row
 end
 
 -- Add the rows of a part; raise if an earlier part has one.
 local function add_part(self, part, catalogue)
-  local bus, ranges, message, name = parse_part(part, catalogue)
+  local bus, ranges, of_type, name = parse_part(part, catalogue)
   local names, is_repeated = ranges and expand_names(name or "", ranges), false
   bus = bus and check_address(bus)
   if not ranges then is_repeated = add_row(self, bus, nil, nil, name) end
   for _, range in ipairs(ranges or {}) do
     for id = range[1], range[2] do
       local own = names and names[id - range[1] + 1] or name
-      is_repeated = add_row(self, bus, id, message, own) or is_repeated
+      is_repeated = add_row(self, bus, id, of_type, own) or is_repeated
     end
   end
   demand(not is_repeated, "a bus and ID once more", "the first part that names them holds")
@@ -231,17 +231,17 @@ function Sources:name(bus, id, interface)
   return anywhere and anywhere.name or nil
 end
 
---- Return the compiled message that the user said an ID carries on a bus; nil where the preference
+--- Return the message type that the user said an ID carries on a bus; nil where the preference
 -- says nothing of it.
 -- bus, id, interface  as of Sources:name
-function Sources:message(bus, id, interface)
+function Sources:type_of(bus, id, interface)
   if bus then
     for _, of_bus in ipairs(rows_of(self, bus, interface)) do
-      if of_bus[id] then return of_bus[id].message end
+      if of_bus[id] then return of_bus[id].type end
     end
   end
   local row = self.by_bus[false][id]
-  return row and row.message
+  return row and row.type
 end
 
 --- Return whether a part is about an ID on a bus, or on a bus with a name that includes that one.
@@ -253,8 +253,8 @@ function Sources:has_part(bus, id)
   return false
 end
 
---- Return all that was read: a list of { bus = name or nil, id = nil for all of a bus, message =
--- compiled or nil, name = or nil }.
+--- Return all that was read: a list of { bus = name or nil, id = nil for all of a bus, type =
+-- message type or nil, name = or nil }.
 function Sources:list()
   return self.rows
 end

@@ -38,39 +38,39 @@ end
 function Types:use(by_id, sources, hidden, visit)
   self.by_id, self.sources, self.hidden = by_id, sources, hidden
   local first, several = {}, {}
-  local function count(message, id)
+  local function count(of_type, id)
     visit(id)
-    first[message] = first[message] or id
-    if first[message] ~= id then several[message] = true end
+    first[of_type] = first[of_type] or id
+    if first[of_type] ~= id then several[of_type] = true end
   end
   for _, row in ipairs(sources:list()) do
-    if row.message then count(row.message, row.id) end
+    if row.type then count(row.type, row.id) end
   end
-  for id in pairs(by_id) do count(self:message_of(id), id) end
+  for id in pairs(by_id) do count(self:type_of(id), id) end
   self.several_ids = several
 end
 
 --- Return the message type that an ID carries on a bus, nil for none.
 -- bus        name, nil where the capture has none
 -- interface  of a sender in UDP or TCP, or nil
-function Types:message_of(id, bus, interface)
-  return self.sources and self.sources:message(bus, id, interface) or self.by_id[id]
+function Types:type_of(id, bus, interface)
+  return self.sources and self.sources:type_of(bus, id, interface) or self.by_id[id]
 end
 
 --- Return the payload size of that type and the smallest that it may have, nil for none.
 function Types:size_of(id)
-  local message = self:message_of(id)
-  if message then return message.size, message.min_size end
+  local of_type = self:type_of(id)
+  if of_type then return of_type.size, of_type.min_size end
 end
 
 -- Return the title of an ID's message type: "Motor Data", or "ID 0x123".
-local function title_of(message, id)
-  return message and message.title or ("ID 0x%x"):format(id)
+local function title_of(of_type, id)
+  return of_type and of_type.title or ("ID 0x%x"):format(id)
 end
 
 -- Return the function that writes the values in Info, nil without a message type.
-local function write_of(message, hides_values)
-  return message and text_of.writer_of(hides_values and message.info_rest or message.info)
+local function write_of(of_type, hides_values)
+  return of_type and text_of.writer_of(hides_values and of_type.info_rest or of_type.info)
 end
 
 -- Return whether only its bus tells a source from others.
@@ -81,12 +81,12 @@ end
 -- Return the label of a message: its title and the name of its source.  Without a name, the ID or
 -- bus follows if it tells the source from others: "Motor Data left", "Motor Data 0x212 (can1)",
 -- "Motor Data", "ID 0x123".
-local function label_of(self, message, name, id, bus, line)
-  local title = title_of(message, id)
-  local is_usual = not message or id == message.id and not self.several_ids[message]
+local function label_of(self, of_type, name, id, bus, line)
+  local title = title_of(of_type, id)
+  local is_usual = not of_type or id == of_type.id and not self.several_ids[of_type]
   if name then return title .. " " .. name end
   if is_usual and not needs_bus(self, bus, line) then return title end
-  return title .. (message and (" 0x%x"):format(id) or "") .. (bus and (" (%s)"):format(bus) or "")
+  return title .. (of_type and (" 0x%x"):format(id) or "") .. (bus and (" (%s)"):format(bus) or "")
 end
 
 -- Return the text of the column Source without a name: "can1 0x210", "10.0.0.1:14550 0x210",
@@ -103,7 +103,7 @@ end
 -- returns  {
 --   id, bus, bus_key, line
 --   name      that the user gave it, or nil
---   message   the message type that it carries, or nil; size, min_size = of its payload, or nil
+--   type      the message type that it carries, or nil; size, min_size = of its payload, or nil
 --   label     the name of its messages
 --   short     the same without the source, if a column shows that
 --   write     function(raws) -> the values in Info, nil without a message type
@@ -111,21 +111,21 @@ end
 --   texts     of the fragments of its messages, see show.frame }
 function Types:new_source(id, bus_key, bus, line)
   local interface = line and line.interface or nil
-  local message = self:message_of(id, bus, interface)
+  local of_type = self:type_of(id, bus, interface)
   local name = self.sources:name(bus, id, interface)
-  local label = label_of(self, message, name, id, bus, line)
+  local label = label_of(self, of_type, name, id, bus, line)
   return {
     id = id,
     bus = bus,
     bus_key = bus_key,
     line = line,
     name = name,
-    message = message,
-    size = (message or NONE).size,
-    min_size = (message or NONE).min_size,
+    type = of_type,
+    size = (of_type or NONE).size,
+    min_size = (of_type or NONE).min_size,
     label = label,
-    short = self.hidden.source and title_of(message, id) or label,
-    write = write_of(message, self.hidden.values),
+    short = self.hidden.source and title_of(of_type, id) or label,
+    write = write_of(of_type, self.hidden.values),
     text = name or column_text(self, id, bus, line),
     texts = {},
   }

@@ -35,7 +35,7 @@ end
 -- The latest messages of a source: entries { key, time, text }.  A message takes the entry of the
 -- oldest one if that is too old, so most sources need one entry.
 local function new_list(message)
-  local of_type = message.source.message
+  local of_type = message.source.type
   return {
     oldest = 1, -- index of the entry to use next
     by_text = {}, -- [text_of a message] = its entry

@@ -102,7 +102,7 @@ end
 --           "truncated" by the capture; "incomplete"; "overrun"
 -- returns   the message, and whether it is good and decoded and has nothing else to show
 function Messages:read(frame, transfer)
-  local of_type, message = frame.source.message, new_message(frame, transfer)
+  local of_type, message = frame.source.type, new_message(frame, transfer)
   if not of_type then
     find_like(self, message)
   elseif not IS_BROKEN[message.status] then

@@ -161,7 +161,7 @@ end
 
 -- Return the payload size that a frame has as a message that is not dissected; nil for none.
 local function undissected_size(self, fields, source, data)
-  local message, size = source.message, possible_sizes(self, data)[fields.ctrl]
+  local message, size = source.type, possible_sizes(self, data)[fields.ctrl]
   if fields.ctl ~= 0 then return message and size or nil end
   local is_longer = fields.ctrl == 0 and message and #data > message.size
   if is_longer and decode.is_plausible(message, sub(data, 1, message.size)) then return #data end

@@ -71,7 +71,7 @@ local function show_message(self, result, tvb)
   if status == "bad" then builder:add_bad_crc(self.item, transfer) end
   if result.anomalies then builder:add_anomalies(self.item, result.anomalies) end
   local mark = builder.MARKS[status]
-  if status ~= "incomplete" or not message.source.message then
+  if status ~= "incomplete" or not message.source.type then
     self.payload_tvb, self.payload_offset = wants.tree and tvb, offset
     return builder:show_message(result, self) .. mark
   end

@@ -230,7 +230,7 @@ end
 -- none.
 local function active_faults(message)
   local names = {}
-  for _, field in ipairs(message.source.message.alarms) do
+  for _, field in ipairs(message.source.type.alarms) do
     list_faults(names, field, message.raws[field.index])
   end
   return table.concat(names, ", ")
@@ -307,7 +307,7 @@ end
 
 -- Build it; return it, the items by index of field, for the expert items, and the one of faults.
 local function build_tree(self, message, view)
-  local raws, items, of_type = message.raws, {}, message.source.message
+  local raws, items, of_type = message.raws, {}, message.source.type
   local plan, tvb, offset = plan_of(self, of_type, view), view.payload_tvb, view.payload_offset
   local whole = range_of(tvb, offset, math.min(of_type.size, #message.payload))
   local top = add(view.tree, self.taurus, whole, "Taurus " .. of_type.title)
@@ -352,7 +352,7 @@ function Taurus:show(message, view)
     if name ~= "fault.active" then
       add_expert(item or top or view.item, "taurus." .. name)
     elseif item then
-      append_help(item, message.source.message.fields[index], message.raws[index])
+      append_help(item, message.source.type.fields[index], message.raws[index])
     end
   end
   if message.remarks.has_fault then add_expert(above or top or view.item, "taurus.fault.active") end

@@ -154,7 +154,7 @@ end
 -- range   TvbRange, nil where the CAN id has it
 -- source  of message.types
 function Tree:add_id(item, range, source)
-  local id, title = source.id, source.message and source.message.title
+  local id, title = source.id, source.type and source.type.title
   local pf = self.fields.id
   local added = range and add(item, pf, range, id) or set_generated(add(item, pf, id))
   if title == self.default_names[id] then return end
@@ -271,7 +271,7 @@ end
 -- Show a message that is not in the catalogue, or not as it is there: bytes.
 local function show_bytes(self, message, view)
   add_bytes(self, message, view, "payload", 0)
-  if message.source.message then return add_mismatch(self, message, view) end
+  if message.source.type then return add_mismatch(self, message, view) end
   local id, like = message.source.id, message.like
   local text, info = unknown_texts(message)
   if like and view.wants.yapp then
@@ -317,7 +317,7 @@ function Tree:show_message(result, view)
     info = cleared .. info .. words
   end
   if message.remarks.has_fault and view.wants.columns then
-    info = text_of.faults(source.message, message.raws) .. "  " .. info
+    info = text_of.faults(source.type, message.raws) .. "  " .. info
   end
   if message.undecoded then
     add_bytes(self, message, view, "undecoded", source.size)

@@ -100,11 +100,11 @@ end
 --- Add the row of an event, see stat.derive.
 function Csv:add_event(event)
   local all, source, is_good = self.options.all, event.source, event.kind == "message"
-  local to = event.raws and self.tables[source.message]
+  local to = event.raws and self.tables[source.type]
   if not (to and (is_good or all)) then return end
   local time = output.time_text(self.context.queue:clock(event.time))
   local crc_good = all and (is_good and "1," or "0,") or ""
-  local row = text_of.row(source.message, event.raws)
+  local row = text_of.row(source.type, event.raws)
   to.file:write(("%s,%d,%s,%d,%s%s\n"):format(
     time, event.frame, self.cells[source], event.seq, crc_good, row))
   to.rows = to.rows + 1

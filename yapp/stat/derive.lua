@@ -84,7 +84,7 @@ end
 
 -- Return whether a message of a source may have a fault: an unknown message may.
 local function may_have_faults(source)
-  return not source.message or source.message.alarms[1] ~= nil
+  return not source.type or source.type.alarms[1] ~= nil
 end
 
 --- Hand an event to the statistic.
@@ -210,7 +210,7 @@ end
 
 -- Return how many messages of a source fit between two times.
 local function count_missing(state, from, to)
-  local message = state.last.source.message
+  local message = state.last.source.type
   if not (message and message.every) then return 0 end
   local periods = span(from, to) / message.every
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
@@ -289,7 +289,7 @@ end
 local function emit_last_silences(self, ending)
   for _, state in ipairs(self.states) do
     local event = state.last
-    local message = event.source.message
+    local message = event.source.type
     local length = span(state.last_at + state.ahead, ending.now)
     local is_silent = message and message.every and length > self.settings.late * message.every
     if is_silent and state.is_counted and not event.values.is_unreliable then
@@ -311,7 +311,7 @@ end
 
 local function emit_absences(self, ending)
   for _, row in ipairs(self.settings.sources:list()) do
-    local is_absent = row.message
+    local is_absent = row.type
     for source in pairs(self.came) do
       local is_there = not row.bus or row.bus == source.bus
       if is_there and source.id == row.id and source.name == (row.name or source.name) then

@@ -118,7 +118,7 @@ end
 --   values = a list, also by entry of Groups:wants
 --   bus_order = number of groups before the first one of its bus }
 local function new_group(self, source)
-  local message, all = source.message, {}
+  local message, all = source.type, {}
   for i, want in ipairs(message and self.wanted[message] or {}) do
     local spread = want.is_spread and self.spreads[want]
     local values = new_values(want, spread)

@@ -97,7 +97,7 @@ end
 
 -- The values of a message that the catalogue does not define; nil for none.
 local function invalid_of(message)
-  local of_type, list = message.source.message, nil
+  local of_type, list = message.source.type, nil
   for _, remark in ipairs(message.remarks) do
     local index, is_undefined = remark[1], remark[3]
     if is_undefined then
@@ -197,7 +197,7 @@ end
 -- of the source's previous such frame.
 local function report_undissected(self, frame, size)
   local state = self.states[frame.source]
-  local seq, is_message = state.unknown_seq, frame.source.message
+  local seq, is_message = state.unknown_seq, frame.source.type
   if seq and (seq + 1) % 256 == frame.seq then is_message = true end
   is_message = is_message or compiler.of_size(self.catalogue.messages, size)[1]
   state.unknown_seq = frame.seq

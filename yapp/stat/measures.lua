@@ -182,7 +182,7 @@ local of_kind = {}
 function of_kind.absent(_, rule, check)
   local names, is_named, others = {}, rule.is_default, 0
   for _, row in ipairs(check.context.settings.sources:list()) do
-    if M.is_of(rule, row) and row.message then
+    if M.is_of(rule, row) and row.type then
       is_named = true
       if check.absent[row] then names[#names + 1] = row.name or output.bus_and_id(row) end
     elseif M.is_of(rule, row) then

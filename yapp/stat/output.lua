@@ -122,7 +122,7 @@ function M.row(source, row)
   row.bus, row.source = source.bus, source.name
   row.who = source.name or M.bus_and_id(source) -- bus, ID and name in one column
   if not source.id then return row end
-  local message = source.message or { title = "unknown" }
+  local message = source.type or { title = "unknown" }
   row.id = { json = format("%d", source.id), text = format("0x%x", source.id) }
   row.message = { json = M.value(message.name), text = message.title }
   return row

@@ -46,7 +46,7 @@ local function describe(own, is_own, titles)
 end
 
 local function new_entry(self, source, size, rest)
-  local own, titles, is_own = source.message, {}, false
+  local own, titles, is_own = source.type, {}, false
   local is_grown = own and size > own.size -- it begins with the own message
   local likes = is_grown and {} or compiler.of_size(self.settings.catalogue.messages, size)
   for i, message in ipairs(likes) do
@@ -71,7 +71,7 @@ local function add(self, entry, list)
   list[#list + 1] = entry
   if entry.is_decodable then
     local is_only = sizes[id] == nil or sizes[id] == size
-    sizes[id] = is_only and not entry.source.message and size
+    sizes[id] = is_only and not entry.source.type and size
   end
 end
 
