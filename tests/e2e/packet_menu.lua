@@ -2,6 +2,7 @@
 -- Loaded behind the plugin: prints what items of the packet menu hand to Wireshark's windows.  tshark has no windows.
 if not os.getenv("YAPP_MENU") then return end -- run by Wireshark, in a plugin folder
 
+package.path = "" -- the plugin finds its modules: no others, such as those of the folder where the tests run
 local packet_menu = require("yapp.show.packet_menu")
 
 local items, new_listener, copies = {}, Listener.new, {}

@@ -522,6 +522,8 @@ TREE = [
     ("document_motor", 5, "yapp.size", "Payload size: 32 bytes"),
     ("document_motor", 5, "yapp.source", "Source: 0x210"),
     ("document_motor", 5, "yapp.fragments", "5 fragments (32 bytes)"),
+    ("document_motor", 5, "taurus.motor.rpm_error", "RPM Error: 0 RPM"),
+    ("document_motor", 5, "taurus.motor.dc_power", "DC Power: 0 W"),
     ("document_command", 1, "taurus.command.torque_iq", "Torque IQ: 0.5005341 A"),
     ("document_command", 1, "taurus.command.rpm", "RPM: 750.8012 RPM"),
     ("document_command", 1, "taurus.command.key", "Key: No Regeneration Allowed (0x5a)"),

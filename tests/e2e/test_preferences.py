@@ -110,6 +110,7 @@ def test_message_ids_on_a_uart():
     path = make.capture("document_uart")[0]
     assert messages(expected.shown(path, "-o", "yapp.motor_ids:0x100")) == {}
     assert messages(expected.shown(path, "-o", "yapp.motor_ids:0x100,0x210")) == {1: "Motor Data"}
+    assert "Message ID: Unknown (0x00000210)" in tshark.run("-r", path, "-o", "yapp.motor_ids:0x100", "-V").stdout
 
 
 def test_one_id_for_two_messages():

@@ -439,6 +439,11 @@ def test_a_situation_that_is_not_so_is_seen(monkeypatch, events):
     assert problems_of.__wrapped__((f"planted {len(events)}",), "one pass")
 
 
+def test_how_much_of_a_packet_was_captured(folder):
+    told(("the snap length cuts text",)).write(folder / "cut.pcapng")
+    assert "[The capture has 4 of the packet's 13 bytes]" in tshark.run("-r", folder / "cut.pcapng", "-V").stdout
+
+
 def test_what_text2pcap_writes(folder):
     dump = "".join(f"0000 {data.hex(' ')}\n" for data in (b"> " + ONE, TWO))
     (folder / "dump.txt").write_text(dump)
