@@ -30,13 +30,13 @@ local Taurus = {}
 Taurus.__index = Taurus
 
 --- Make the view of values.
--- taurus    Proto
--- messages  of the catalogue
--- fields    of show.fields
-function M.new(taurus, messages, fields)
+-- taurus  Proto
+-- types   the message types of the catalogue
+-- fields  of show.fields
+function M.new(taurus, types, fields)
   return setmetatable({
     taurus = taurus,
-    messages = messages,
+    types = types,
     fields = fields,
   }, Taurus)
 end
@@ -154,31 +154,31 @@ local STATES = {
 
 --- Return whether a tree wants a field that comes from the history's state, which each message has.
 function Taurus:wants_state(tree)
-  for _, message in ipairs(self.messages) do
-    if wanted_of(self, tree, message.states) then return true end
+  for _, of_type in ipairs(self.types) do
+    if wanted_of(self, tree, of_type.states) then return true end
   end
   return false
 end
 
 -- Add to a plan which names of faults and states are wanted.
-local function add_state_steps(self, message, tree, plan)
+local function add_state_steps(self, of_type, tree, plan)
   for _, row in ipairs(STATES) do
-    local pf = self.fields[message.states[row[1]]]
+    local pf = self.fields[of_type.states[row[1]]]
     if pf and referenced(tree, pf) then
       table.insert(plan.states, { name = row[1], show = row[2], is_fault = row[3], pf = pf })
     end
   end
-  local pf = self.fields[message.fault_names]
+  local pf = self.fields[of_type.fault_names]
   plan.names = pf and referenced(tree, pf) and pf
 end
 
--- Return the plan of a message's tree: a list of steps { field, index, parent = index of the
+-- Return the plan of a message type's tree: a list of steps { field, index, parent = index of the
 -- field that it is a part of, add = see ADD }; own = true if the message's field is wanted; and the
 -- wanted ones of generated, rounded, states = lists; names = ProtoField of the names of faults.
-local function make_plan(self, message, tree)
+local function make_plan(self, of_type, tree)
   local plan, fields = { generated = {}, rounded = {}, states = {} }, self.fields
-  plan.own = referenced(tree, fields[message.filter])
-  for index, field in ipairs(message.fields) do
+  plan.own = referenced(tree, fields[of_type.filter])
+  for index, field in ipairs(of_type.fields) do
     local wanted = wanted_of(self, tree, field.filters)
     if wanted then
       plan[#plan + 1] = {
@@ -189,7 +189,7 @@ local function make_plan(self, message, tree)
       }
     end
   end
-  for _, item in ipairs(message.generated) do
+  for _, item in ipairs(of_type.generated) do
     local pf = fields[item.filter]
     if referenced(tree, pf) then
       local write = field_kinds.new_number_text(item)
@@ -197,19 +197,19 @@ local function make_plan(self, message, tree)
     end
   end
   -- Values for columns are not among the details.
-  for _, step in ipairs(tree.visible and NONE or message.rounded) do
+  for _, step in ipairs(tree.visible and NONE or of_type.rounded) do
     if referenced(tree, fields[step.filter]) then table.insert(plan.rounded, step) end
   end
-  add_state_steps(self, message, tree, plan)
+  add_state_steps(self, of_type, tree, plan)
   return plan
 end
 
 -- Return the plan for a tree.  In tshark's first pass it is kept in view.wants, which holds for
 -- all packets: without plans a filter for one fault takes 1.9 times as long.
-local function plan_of(self, message, view)
+local function plan_of(self, of_type, view)
   local plans = view.wants.plans or {}
-  plans[message] = plans[message] or make_plan(self, message, view.tree)
-  return plans[message]
+  plans[of_type] = plans[of_type] or make_plan(self, of_type, view.tree)
+  return plans[of_type]
 end
 
 -- The tree of a message ---------------------------------------------------------------------------

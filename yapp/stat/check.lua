@@ -62,11 +62,11 @@ local Check = groups.class { lists_problems = true }
 --- See groups.class.
 M.new = Check.new
 
---- Return the values of a message that rules are about.
-function Check:wants(message)
+--- Return the values of a message type that rules are about.
+function Check:wants(of_type)
   local list = {}
   for _, rule in ipairs(self.options.rules) do
-    if rule.want and rule.message == message then list[#list + 1] = rule.want end
+    if rule.want and rule.message == of_type then list[#list + 1] = rule.want end
   end
   return list
 end
@@ -75,12 +75,12 @@ end
 
 -- Return whether a rule is about a source.
 local function is_about(rule, group)
-  local kind, message = rule.kind, group.message
+  local kind, of_type = rule.kind, group.type
   if not measures.is_of(rule, group.source) then return false end
-  if rule.message then return message == rule.message end
+  if rule.message then return of_type == rule.message end
   if kind.scope == "rare" then return group.counts[kind.name].seen > 0 end
   if not kind.about then return group.source.id ~= nil end
-  local has = message and message[kind.about]
+  local has = of_type and of_type[kind.about]
   return has and (type(has) ~= "table" or next(has) ~= nil)
 end
 

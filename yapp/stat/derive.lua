@@ -210,9 +210,9 @@ end
 
 -- Return how many messages of a source fit between two times.
 local function count_missing(state, from, to)
-  local message = state.last.source.type
-  if not (message and message.every) then return 0 end
-  local periods = span(from, to) / message.every
+  local of_type = state.last.source.type
+  if not (of_type and of_type.every) then return 0 end
+  local periods = span(from, to) / of_type.every
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
 end
 
@@ -289,9 +289,9 @@ end
 local function emit_last_silences(self, ending)
   for _, state in ipairs(self.states) do
     local event = state.last
-    local message = event.source.type
+    local of_type = event.source.type
     local length = span(state.last_at + state.ahead, ending.now)
-    local is_silent = message and message.every and length > self.settings.late * message.every
+    local is_silent = of_type and of_type.every and length > self.settings.late * of_type.every
     if is_silent and state.is_counted and not event.values.is_unreliable then
       local values = { length = output.seconds(length), is_last = true }
       emit(self, "silence", event, values)

@@ -108,7 +108,7 @@ local function new_spread()
 end
 
 -- Make the record of a source: {
---   source, message = the source's
+--   source, type = the source's
 --   counts = { [kind of event] = see new_count }
 --   count = of good messages, decoded = of those that were decoded; first, last = their times,
 --   last_frame
@@ -118,8 +118,8 @@ end
 --   values = a list, also by entry of Groups:wants
 --   bus_order = number of groups before the first one of its bus }
 local function new_group(self, source)
-  local message, all = source.type, {}
-  for i, want in ipairs(message and self.wanted[message] or {}) do
+  local of_type, all = source.type, {}
+  for i, want in ipairs(of_type and self.wanted[of_type] or {}) do
     local spread = want.is_spread and self.spreads[want]
     local values = new_values(want, spread)
     if spread then table.insert(spread.members, values) end
@@ -127,7 +127,7 @@ local function new_group(self, source)
   end
   return {
     source = source,
-    message = message,
+    type = of_type,
     counts = memo(new_count),
     count = 0,
     decoded = 0,
@@ -156,21 +156,21 @@ function M.class(class)
       by_source = nil,
       capture = { counts = memo(new_count) }, -- a group: the events of the whole capture
       absent = {}, -- by source: true if none of its messages came
-      wanted = nil, -- by message: see Groups:wants
+      wanted = nil, -- by message type: see Groups:wants
       spreads = memo(new_spread), -- by entry of Groups:wants
       bus_orders = memo(function() return #list end), -- [bus] = how many groups came before it
     }, class)
     self.by_source = memo(function(source) return new_group(self, source) end, list)
-    self.wanted = memo(function(message) return self:wants(message) end)
+    self.wanted = memo(function(of_type) return self:wants(of_type) end)
     return self
   end
   return setmetatable(class, { __index = Groups })
 end
 
---- Return the fields of a message that are gathered: numbers that are no codes.
-function Groups:wants(message)
+--- Return the fields of a message type that are gathered: numbers that are no codes.
+function Groups:wants(of_type)
   local list = {}
-  for _, fields in ipairs { message.fields, message.generated } do
+  for _, fields in ipairs { of_type.fields, of_type.generated } do
     for _, field in ipairs(fields) do
       if field_kinds.is_number(field) then
         list[#list + 1] = { field = field, is_spread = self.compares }
@@ -204,7 +204,7 @@ local function add_raw(values, raw)
 end
 
 local function add_values(self, group, event, now)
-  local every, raws = group.message.every, event.raws
+  local every, raws = group.type.every, event.raws
   local longest = every and self.context.settings.late * every or INFINITE
   for _, values in ipairs(group.values) do
     if values.ordinary then

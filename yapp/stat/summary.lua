@@ -227,24 +227,24 @@ end
 -- Return the groups of each message that has several: for people by name, first the message with
 -- most fields, which says most of a controller.
 local function list_compared(self)
-  local by_message, lists = {}, {}
+  local by_type, lists = {}, {}
   for _, group in ipairs(self:sort()) do
-    local message = group.message
-    if message then
-      local list = by_message[message] or {}
-      by_message[message], list[#list + 1] = list, group
+    local of_type = group.type
+    if of_type then
+      local list = by_type[of_type] or {}
+      by_type[of_type], list[#list + 1] = list, group
       if #list == 2 then lists[#lists + 1] = list end
     end
   end
   if self.context.json then return lists end
   for _, list in ipairs(lists) do output.sort(list, sortable_name) end
-  output.sort(lists, function(list) return -#list[1].message.fields end)
+  output.sort(lists, function(list) return -#list[1].type.fields end)
   return lists
 end
 
 -- Mark the groups of a message that fell silent while another one went on.
 local function mark_silent(self, list)
-  local every, last = list[1].message.every, 0
+  local every, last = list[1].type.every, 0
   for _, group in ipairs(list) do last = math.max(last, group.last or 0) end
   for _, group in ipairs(list) do
     local length = every and group.last and kinds.span(group.last, last) or 0
@@ -259,7 +259,7 @@ function Compare:finish(_, notes)
     mark_silent(self, list)
     local rows = {}
     for index in ipairs(list[1].values) do add_rows(self, list, index, rows) end
-    local title = ("YAPP compare: %d sources of %s"):format(#list, list[1].message.title)
+    local title = ("YAPP compare: %d sources of %s"):format(#list, list[1].type.title)
     if i > 1 and not context.json then context.out("\n") end
     output.print(context, title, COMPARED, rows, notes)
     notes = {}
