@@ -632,6 +632,18 @@ def test_a_signal_ends_it_when_nobody_reads_on(folder, port):
     assert re.fullmatch(r"YAPP: Wireshark did not read in time: \d+ packets are not in the capture\. .*\n", errors)
 
 
+@pytest.mark.parametrize("waiting, asked", [(0, [1, 0]), (2, [1, 2]), (9, [1, 4])])
+def test_pyserial_waits_for_one_byte_alone(extcap, monkeypatch, waiting, asked):
+    """More than has come it would wait for, until its timeout."""
+    counts, opened = [], []
+    line = types.SimpleNamespace(in_waiting=waiting, read=lambda count: counts.append(count) or bytes(count), close=None)
+    serial = types.SimpleNamespace(Serial=lambda *given, **named: opened.append((given, named)) or line)
+    monkeypatch.setitem(sys.modules, "serial", serial)
+    read, _ = extcap.open_by_pyserial("COM3", settings(extcap, "yapp-serial", baud="9600", parity="even", stopbits="2"))
+    assert read(5, 0.25) == bytes(sum(asked)) and counts == asked and line.timeout == 0.25
+    assert opened == [(("COM3", 9600), {"parity": "E", "stopbits": 2})]
+
+
 def test_how_long_a_reader_may_take(extcap, monkeypatch):
     """A signal is seen within WAIT.  From then on a reader that reads nothing in STUCK ends the capture."""
     waited = []
