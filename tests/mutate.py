@@ -57,6 +57,7 @@ SUITES = {
     "yapp/show/fields.lua": ["tests/e2e/test_experts.py", "tests/e2e/test_captures.py"],
     "yapp/show/packet.lua": ["tests/e2e/test_captures.py", "tests/e2e/test_streams.py"],
     "yapp/host/can.lua": ["tests/e2e/test_captures.py", "tests/e2e/test_experts.py", "tests/e2e/test_can_soak.py", "tests/e2e/test_unknown_ids.py"],
+    "yapp/host/buses.lua": ["tests/e2e/test_buses.py", "tests/e2e/test_live.py"],
     "yapp/host/serial.lua": ["tests/e2e/test_captures.py", "tests/e2e/test_streams.py", "tests/e2e/test_stream_cases.py"],
     "yapp/host/": ["tests/e2e/test_captures.py", "tests/e2e/test_buses.py", "tests/e2e/test_streams.py"],
     "yapp/serial/": ["tests/e2e/test_captures.py", "tests/e2e/test_streams.py"],

@@ -119,6 +119,12 @@ function T.test_a_sender_with_a_new_port_each_time()
   end
 end
 
+function T.test_the_first_bytes_of_a_file_name_senders()
+  local self, scanned = new_lines(), nil
+  function self.senders.scan(_, bytes) scanned = bytes end
+  lu.assertEquals({ self:scan("head"), scanned }, { {}, "head" })
+end
+
 function T.test_an_adapter()
   local lines, endpoint = new_lines(), { name = "1.2.3 in", opposite = "1.2.3 out", device = "1.2" }
   local line = lines:of_adapter(endpoint)
