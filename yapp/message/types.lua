@@ -73,19 +73,15 @@ local function write_of(of_type, hides_values)
   return of_type and text_of.writer_of(hides_values and of_type.info_rest or of_type.info)
 end
 
--- Return whether only its bus tells a source from others.
-local function needs_bus(self, bus, line)
-  return bus and (self.has_several or line and line.is_shared)
-end
-
 -- Return the label of a message: its title and the name of its source.  Without a name, the ID or
 -- bus follows if it tells the source from others: "Motor Data left", "Motor Data 0x212 (can1)",
 -- "Motor Data", "ID 0x123".
-local function label_of(self, of_type, name, id, bus, line)
+local function label_of(self, of_type, name, id, bus, is_shared)
   local title = title_of(of_type, id)
   local is_usual = not of_type or id == of_type.id and not self.several_ids[of_type]
   if name then return title .. " " .. name end
-  if is_usual and not needs_bus(self, bus, line) then return title end
+  local needs_bus = bus and (self.has_several or is_shared)
+  if is_usual and not needs_bus then return title end
   return title .. (of_type and (" 0x%x"):format(id) or "") .. (bus and (" (%s)"):format(bus) or "")
 end
 
@@ -100,6 +96,7 @@ end
 -- bus_key  of the bus or stream, or false
 -- bus      its name, nil if the capture names none
 -- line     of a stream, see serial.lines; nil on CAN
+-- is_shared  true if other senders in UDP or TCP have the ID, too
 -- returns  {
 --   id, bus, bus_key, line
 --   name      that the user gave it, or nil
@@ -109,11 +106,11 @@ end
 --   write     function(raws) -> the values in Info, nil without a message type
 --   text      for the column Source: the name, else bus and ID, where they differ from others'
 --   texts     of the fragments of its messages, see show.frame }
-function Types:new_source(id, bus_key, bus, line)
+function Types:new_source(id, bus_key, bus, line, is_shared)
   local interface = line and line.interface or nil
   local of_type = self:type_of(id, bus, interface)
   local name = self.sources:name(bus, id, interface)
-  local label = label_of(self, of_type, name, id, bus, line)
+  local label = label_of(self, of_type, name, id, bus, is_shared)
   return {
     id = id,
     bus = bus,

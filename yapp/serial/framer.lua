@@ -405,13 +405,18 @@ function Framer:add(bytes, is_end, findings)
   return self.findings
 end
 
---- Return whether bytes in no finding yet begin with the header of a message of the catalogue.
-function Framer:has_known()
+-- Return the first candidate in bytes of no finding yet that has a quality, nil for none.
+-- quality  "is_known" or "is_plausible"
+local function first_with(self, quality)
   for i = self.first, self.last + 1 do
     local candidate = self.candidates[i] or self:find_candidate()
-    if candidate and candidate.is_known and candidate.from >= self.from then return true end
+    if candidate and candidate[quality] and candidate.from >= self.from then return candidate end
   end
-  return false
+end
+
+--- Return whether bytes in no finding yet begin with the header of a message of the catalogue.
+function Framer:has_known()
+  return first_with(self, "is_known") ~= nil
 end
 
 --- Return the bytes that are in no finding yet.
@@ -423,14 +428,10 @@ end
 -- header is none, nor are bytes that are more likely noise.
 -- returns  boolean, and the number of bytes to come, nil if all came
 function Framer:open_frame()
-  for i = self.first, self.last + 1 do
-    local candidate = self.candidates[i] or self:find_candidate()
-    if candidate and candidate.is_plausible and candidate.from >= self.from then
-      local missing = candidate.to - self.to
-      return true, missing > 0 and missing or nil
-    end
-  end
-  return false
+  local candidate = first_with(self, "is_plausible")
+  if not candidate then return false end
+  local missing = candidate.to - self.to
+  return true, missing > 0 and missing or nil
 end
 
 return M

@@ -42,18 +42,20 @@ end
 -- Make a line: {
 --   key          of its stream
 --   opposite     key of the other direction
---   bus_key      of a Command and its answers: one key for both directions of a
---                conversation or adapter, one for all of a UART
---   trial_key    of the bytes that are found by content: a conversation, one direction of an
---   adapter tag          shared by few lines: the kind and ports of packets; the key of an
---   adapter's bus          name or nil label        text that tells its sources apart, nil if
---   nothing does is_shared    true if other senders in UDP or TCP have its latest ID, too
---   has_address  true if its packets have a sender interface    of UDP or TCP: the name of its
---   interface, or nil is_tcp, is_datagram  true if it is of TCP, of UDP is_complete  true if each
---   of its packets is complete in itself: of a raw dump latest       when its latest packet came,
---   in seconds is_over      true if a segment of it ends the connection is_direct    true if TCP
---   hands its bytes to YAPP; false where TLS does awaited      the payload of the first frame that
---   the file has of it; nil once it was read, or
+--   bus_key      of a Command and its answers: one key for both directions of a conversation or
+--                adapter, one for all of a UART
+--   trial_key    of what is found by content: a conversation, one direction of an adapter
+--   tag          shared by few lines: the kind and ports of packets; the key of an adapter's
+--   bus          name or nil
+--   label        text that tells its sources apart, nil if nothing does
+--   has_address  true if its packets have a sender
+--   interface    of UDP or TCP: the name of its interface, or nil
+--   is_ip        true if it is of UDP or TCP; is_tcp, is_datagram: of TCP, of UDP
+--   is_complete  true if each of its packets is complete in itself: of a raw dump
+--   latest       when its latest packet came, in seconds
+--   is_over      true if a segment of it ends the connection
+--   is_direct    true if TCP hands its bytes to YAPP; false where TLS does
+--   awaited      the payload of the first frame that the file has of it; nil once it was read, or
 --                if it is not known
 --   sources      [ID] = a source, see Lines:source; all lines of a sender share them }
 local function new_line(key, opposite, bus_key, bus)
@@ -65,7 +67,6 @@ local function new_line(key, opposite, bus_key, bus)
     tag = key,
     bus = bus,
     label = bus,
-    is_shared = false,
     has_address = false,
     interface = nil,
     is_ip = false,
@@ -207,10 +208,9 @@ end
 function Lines:source(line, id)
   local source = line.sources[id]
   if not source then
-    if line.is_ip then
-      line.label, line.is_shared = self.senders:shorten(line.bus), self.shared_ids[id]
-    end
-    source = self.types:new_source(id, line.bus_key, line.bus, line)
+    local is_shared = line.is_ip and self.shared_ids[id]
+    if line.is_ip then line.label = self.senders:shorten(line.bus) end
+    source = self.types:new_source(id, line.bus_key, line.bus, line, is_shared)
     line.sources[id] = source
   end
   return source
