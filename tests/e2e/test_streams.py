@@ -353,7 +353,7 @@ SITUATIONS = {
         (ONE + TWO[:10], [("good", ONE)], TWO[:10]), ((TWO[10:], 15), [("incomplete", TWO[:25])]), (THREE, [("good", THREE)])]),
     "the snap length cuts text": (SERIAL, [((b"text and more", 4), [("skipped", b"text")]), (ONE, [("good", ONE)])]),
     "a line that is edited": (SERIAL, [
-        (b"> pw\b \bwd\a\r\n41 \xc2\xb0C" + ONE, [("skipped", b"> pw\b \bwd\a\r\n41 \xc2\xb0C"), ("good", ONE)]),
+        (b"> pw\b \bwd\a\r\n\x1b[0m\t41 \xc2\xb0C" + ONE, [("skipped", b"> pw\b \bwd\a\r\n\x1b[0m\t41 \xc2\xb0C"), ("good", ONE)]),
         (b"\xc2\xb0" * 50 + ONE, [("skipped", b"\xc2\xb0" * 50), ("good", ONE)]),
         (b"\xc2\x80" + ONE, [("skipped", b"\xc2\x80"), ("good", ONE)]), (b"\xb0" + ONE, [("skipped", b"\xb0"), ("good", ONE)])]),
     "messages that lost bytes": (SERIAL, [
