@@ -123,14 +123,18 @@ def is_python(path):
 
 
 def python_mutants(text):
+    texts = []  # what stands in one is no statement
     for token in PYTHON_TOKEN.finditer(text):
         word = token[0]
         if word in PYTHON_OTHERS:
             yield (*token.span(), PYTHON_OTHERS[word])
         elif word[0].isdigit():
             yield (*token.span(), other_number(word))
+        elif word.endswith('"""'):
+            texts.append(token.span())
     for line in re.finditer(r"[^\n]+", text):
-        if not PYTHON_NO_STATEMENT.match(line[0]):
+        is_text = any(first < line.end() - 1 and line.start() < last for first, last in texts)
+        if not PYTHON_NO_STATEMENT.match(line[0]) and not is_text:
             yield (*line.span(), re.match(r"\s*", line[0])[0] + "pass")
 
 
