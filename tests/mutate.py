@@ -280,7 +280,8 @@ def main():
     parser.add_argument("--reach", type=pathlib.Path, help="what tests/reach.py printed; measured if it is not given")
     parser.add_argument("modules", nargs="*", type=pathlib.Path, help="all that need no Wireshark by default")
     options = parser.parse_args()
-    if options.other and USER and subprocess.run([options.python, "-V"], capture_output=True, check=False, **USER).returncode:
+    needs_python = options.other or any(map(is_package, options.modules))
+    if needs_python and USER and subprocess.run([options.python, "-V"], capture_output=True, check=False, **USER).returncode:
         parser.error(f"{options.python} is not for the user nobody")
     seconds, loads = {}, {test: loaded_by(test) for test in TESTS}
     equivalent = {tuple(line.split("\t")[:3]) for line in (ROOT / "tests/equivalent_mutants.txt").read_text().splitlines()}

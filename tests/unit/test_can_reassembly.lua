@@ -75,6 +75,8 @@ function T.test_malformed_starts()
     { "S0 E8", "start+size.mismatch orphan+fragment.orphan" },
     { "S32r M8 M8 M8 E8", ".+reserved.nonzero . . . good" },
     { "S32/12 M8 M8 M8 E8", ".+size.mismatch . . . good" },
+    { "S32/9 M8 M8 M8 E8", ".+size.mismatch . . . good" },
+    { "S32 M8 M8= M8 M8 M1 M8? E8", ". . . . . . .+fragment.overrun overrun+fragment.overrun" },
     { "S32/12~4 M8", "start+size.mismatch orphan+fragment.orphan" },
     { "S5 E5", ". good" },
     { "X8", "invalid+can.ctrl.invalid" },
