@@ -30,6 +30,9 @@ def stretches(*rows):
         ([((1, 0), (2, 10), (3, NOW), (4, NOW + 5))], NOW - 10, 15, 1),
         # Stamps that are out of order by a little are no reset.
         ([((1, NOW), (2, NOW + 1), (3, NOW + 0.5), (4, NOW + 2))], NOW, 2, 0),
+        # By more than a second they are; so is a step of more than a day.
+        ([((1, NOW), (2, NOW + 1), (3, NOW - 0.5), (4, NOW + 2))], NOW, 3.5, 1),
+        ([((1, NOW), (2, NOW + 86_400)), ((3, NOW + 2 * 86_401),)], NOW, 86_400, 1),
         # One table ends before the other begins.
         ([((1, NOW), (2, NOW + 1)), ((3, NOW + 2), (4, NOW + 4))], NOW, 4, 0),
     ],

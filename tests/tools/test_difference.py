@@ -24,6 +24,8 @@ def of(first, second):
         (-0.1, 0.2, -0.3),
         (1e-7, 3e-7, -2e-7),
         (1.234567e-12, 0.0, 1.234567e-12),
+        (1.2345678901e-12, 0.0, 1.2345678901e-12),  # the 22nd digit behind the point, and no further one
+        (100_000_000_000_000.25, 0.0, 100_000_000_000_000.0),  # fifteen digits
         (0.0, 0.0, 0.0),
         (None, 1.0, None),
         (1.0, None, None),
