@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Print docs/columns.md: every column of every table, from the code and the catalogue: columns_page.py >docs/columns.md"""
+import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parent / "src"))  # that of this tree, installed or not
 from yapp_tables import Tshark
 from yapp_tables.records import TABLES, columns_of
 from yapp_tables.tables import ABOUT_HEAD, DURATION, KIND, SCHEMA, TIME, messages

@@ -168,6 +168,8 @@ def test_summary(results, seed, form, passes):
                         # The ends of a range have the seven digits of a value; a difference has those of its two.
                         limit = 5e-4 if field.endswith("_error") else 5e-7
                         assert_close(line[name][field][end], number, (field, end, truth), limit)
+            elif isinstance(value, (float, Decimal)):
+                assert_close(line[name], value, (name, truth))
             else:
                 assert line[name] == value, (name, truth)
 
@@ -466,7 +468,7 @@ def test_the_lists_of_rules_in_the_document():
     of_message = [name for name, text, *_ in rows_of("measures") if text.startswith(f"MESSAGE.{name}=")]
     about_time = {row[0] for what, index in (("kinds", -3), ("measures", -1)) for row in rows_of(what) if row[index] == "true"}
     assert len(of_message) > 2 and len(about_time) > 4
-    listed = [re.search(shape, PAGE)[1] for shape in (r"A field of your own may be called ([^.]*)\.", r"A rule is about time \((.*?)\)")]
+    listed = [re.search(shape, PAGE, re.S)[1] for shape in (r"A field of your own may be called ([^.]*)\.", r"A rule is about time \((.*?)\)")]
     assert set(re.findall(r"`(\w+)`", listed[0])) == set(of_message)
     assert set(re.findall(r"`(\w+)`", listed[1])) == about_time
 

@@ -168,7 +168,7 @@ function T.test_summary()
   lu.assertStrContains(printed, '"gap_max_frame":2,"crc_bad":1,"incomplete":1,"late":1,"reboots":1,"values":')
 end
 
--- New columns come behind these.
+-- New columns come behind these.  A column that no row has a value of is not printed: it is not in found[2].
 function T.test_summary_in_words()
   local printed = run({ "summary" }, { record(1, 0), record(2, 0.1, { source = RIGHT }), record(3, 0.25) },
     { last = 2 })
