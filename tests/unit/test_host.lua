@@ -67,10 +67,13 @@ function T.test_late()
 end
 
 function T.test_a_problem_is_said_once()
-  local preferences = require("yapp.host.preferences")
+  local preferences, stderr = require("yapp.host.preferences"), io.stderr
+  io.stderr = { write = function() said[#said + 1] = "in a terminal, too" end } -- luacheck: ignore
   preferences.complain_once { "a", "b", "a" }
   preferences.complain_once { "b", "c" }
   preferences.complain_once {}
+  preferences.complain {}
+  io.stderr = stderr -- luacheck: ignore
   lu.assertEquals(said, { "YAPP: preferences: a\npreferences: b", "YAPP: preferences: c" })
 end
 
@@ -223,6 +226,8 @@ function T.test_headers_of_segments()
   dissect(segment(16, 16, "abcdefgh"), 7)
   dissect(segment(16, 24, "", nil, 22), 8)
   lu.assertEquals(#seen, 4)
+  dissect(segment(17, 20, ""), 10) -- an end without data
+  lu.assertEquals({ #seen, seen[5].is_end, seen[5].length }, { 5, true, 0 })
 end
 
 -- When Wireshark reloads its Lua plugins, the watch that was there takes TCP away with it.

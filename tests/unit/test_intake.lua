@@ -48,7 +48,10 @@ local function result(kind, with)
 end
 
 local function report_message(intake, m)
-  local one = records.new_result("single", m)
+  local frame = {} -- it does not have what a message has
+  for key, value in pairs(m) do frame[key] = value end
+  frame.raws, frame.payload, frame.change = nil, nil, nil
+  local one = records.new_result("single", frame)
   one.message = m
   intake:report(one)
 end
