@@ -1076,6 +1076,8 @@ function T.test_preferences_that_decode()
   local function advice(records, with) return said(records, with)[2]:match("Try (.*)") end
   lu.assertEquals(advice({ unknown(1, "a", 0x300, 11), unknown(2, "a", 0x301, 8) }, { ids = { motor = { 0x20, 0x21, 0x7ff } } }),
     "-o yapp.motor_ids:0x20-0x21,0x300,0x7ff -o yapp.health_ids:0x200,0x301")
+  lu.assertEquals(advice { unknown(1, "a", 0x300, 11), unknown(2, "b", 0x300, 11), unknown(3, "c", 0x302, 11) },
+    "-o yapp.motor_ids:0x210,0x300,0x302") -- one ID on two buses
   local catalogue = catalogue_of.compile { { name = "one", title = "One", id = 1, size = 3, { "a", "uint24", "A" } },
     { name = "two", title = "Two", id = 2, size = 3, { "a", "uint24", "A" } } }
   lu.assertEquals(said({ unknown(1, "a", 0x300, 3) }, { catalogue = catalogue })[2], "1 message was not decoded: a 0x300 " ..
