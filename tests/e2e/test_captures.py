@@ -420,7 +420,8 @@ def test_info_column(name, number, text):
 
 COLUMNS = {"Protocol": "%p", "Source": "%s", "Info": "%i"}
 SHOWN = {"document_motor": {"Protocol": "YAPP", "Source": "0x210", "Info": "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"},
-         "document_uart": {"Protocol": "YAPP", "Info": "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"}}
+         "document_udp": {"Source": "192.0.2.1"},  # of the packet
+         "document_uart": {"Protocol": "YAPP", "Source": "0x210", "Info": "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"}}
 
 
 @levels.by_version
