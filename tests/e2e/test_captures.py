@@ -421,6 +421,7 @@ def test_info_column(name, number, text):
 COLUMNS = {"Protocol": "%p", "Source": "%s", "Info": "%i"}
 SHOWN = {"document_motor": {"Protocol": "YAPP", "Source": "0x210", "Info": "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"},
          "document_udp": {"Source": "192.0.2.1"},  # of the packet
+         "uart_shell": {"Source": "0x210"},  # of its first message
          "document_uart": {"Protocol": "YAPP", "Source": "0x210", "Info": "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"}}
 
 

@@ -301,6 +301,7 @@ SITUATIONS = {
         (b"> ps\r\n" + ONE + TWO + BAD + b"\x00", [("skipped", b"> ps\r\n"), ("good", ONE), ("good", TWO), ("bad", BAD),
                                               ("skipped", b"\0")])]),
     "more messages than Info names": (UDP, [(b"".join(MANY), [("good", one) for one in MANY])]),
+    "one message more than Info names": (UDP, [(b"".join(MANY[:11]), [("good", one) for one in MANY[:11]])]),
     "a frame over three packets": (SERIAL, [
         (ONE[:5], [], ONE[:5]), (ONE[5:20], [], ONE[5:20]), (ONE[20:] + b"ok", [("good", ONE), ("skipped", b"ok")])]),
     "a packet that ends one frame and begins another": (SERIAL, [
