@@ -261,6 +261,11 @@ def test_help_of_a_flag(folder):
     assert {(fault["flag"], fault["help"]) for fault in faults} == {("motor_overcurrent", "look at the phases"), ("hall_timeout", None)}
 
 
+def test_an_item_about_a_value_stands_below_it():
+    tree = tshark.run("-r", make.capture("document_motor")[0], "-O", "taurus").stdout
+    assert re.search(r"\n    ESC Temperature: Not a Number \(0xff\)\n        \[Expert Info \(Note/Protocol\): Reserved value", tree)
+
+
 def test_one_message_has_one_item_of_each_kind_about_faults():
     """That they are set, raised, cleared; the item names the flags of all fields, above the values, with links to where that
     began and ends.  Of thirty flags the one that is set comes first."""
