@@ -12,11 +12,13 @@ import struct
 import subprocess
 import sys
 from collections import Counter
+from decimal import Decimal
 from pathlib import Path
 
 import flights
 import pytest
 from running import PLUGIN, run_tables
+from yapp_tables import baseline
 
 NAMES = {("can0", 0x210): "fl", ("can0", 0x211): "fr", ("can1", 0x210): "rl", ("can1", 0x211): "rr"}
 SOURCES = ",".join(
@@ -196,6 +198,35 @@ def test_fields_with_the_names_of_measures(tmp_path, monkeypatch):
     for name, (lowest, highest) in expected.items():
         low, high = map(float, learnt[name])
         assert lowest - 30 < low <= lowest <= highest <= high < highest + 30, name
+
+
+def test_an_enum_that_never_changed(learnt, tmp_path):
+    """Motor Mode was 1 in all good flights; a flight in Torque Mode, 0, is not like them."""
+    text = (learnt / "flight.rules").read_text()
+    assert re.findall(r"(?m)^motor\.motor_mode=(.*?) +# (.*)$", text) == [("1..1", "Speed Mode")] * 4
+    other = tmp_path / "flight.rules"
+    other.write_text(text.replace("motor_mode=1..1", "motor_mode=0..0"))
+    code, broken = judge(learnt / "good0.pcapng", other)
+    assert (code, broken) == (20, [f"{name} motor.motor_mode=0..0" for name in NAMES.values()])
+
+
+def row(*ends):
+    return [(Decimal(low), Decimal(high), f"flight{number}") for number, (low, high) in enumerate(ends)]
+
+
+def test_flights_of_one_controller_that_are_alike_by_chance():
+    """Its highest values are all 8; those of the others are 1 apart, and a step is 0.5."""
+    others = [row((1, 5), (1, "5.5"), (1, 6)), row((2, 8), (2, "8.5"), (2, 9))]
+    extremes = {("", "m.t.numbers"): row((1, 8), (1, 8), (1, 8))}
+    extremes |= {(str(number), "m.t.numbers"): found for number, found in enumerate(others)}
+    assert baseline._least_apart(extremes) == {"m.t.numbers": (Decimal("0.5"), Decimal("0.5"))}
+    extremes["", "m.t.spread"] = row((3, 3), (3, 3))
+    extremes["", "m.t.mean"] = row((4, 4), (4, 4))
+    least = baseline._least_apart(extremes)
+    assert least["m.t.spread"] == (Decimal("0.5"), Decimal("0.5"))
+    assert least["m.t.mean"] == (0, 0)
+    apart = {("1", "m.x.numbers"): row((0, 1), (3, 4), (0, 1)), ("2", "m.x.numbers"): row((-7, 1), (0, 5), (0, 1))}
+    assert baseline._least_apart(apart)["m.x.numbers"] == (Decimal("3.5"), Decimal("3.5"))
 
 
 def test_without_names(learnt, tmp_path):

@@ -45,7 +45,8 @@ def read(
 ) -> Flight:
     """Read a capture with tshark and the plugin.
 
-    messages: of these only; columns: these only, besides the time. They are narrowed before they are read.
+    messages: names of messages, ["motor"]; columns: names of columns besides the time, ["rpm_measured"]; None for all.
+    What is not wanted is not read.
 
     What is left out is a warning: the rest of a damaged capture, messages that were not decoded.
     Returns a Flight. Raises YappError; MessageError, with the words that exist, for an unknown message or column.

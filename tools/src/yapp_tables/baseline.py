@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from itertools import pairwise
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -64,19 +65,22 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
         if not extremes:
             raise CaptureError(f"no message was decoded in {', '.join(names)}")
         rules = _counted(flights, margin)
+        apart = _least_apart(extremes)
         for (source, what), found in extremes.items():
             # A mean has the margin of the values: those of a few flights may lie close together.
             field, _, measure = what.rpartition(".")
             covered = extremes[source, f"{field}.numbers"] if measure == "mean" else found
-            rules.append(_rule(source, what, found, covered, margin))
-        shares = _reserved(extremes, config.of(captures[0])[0].fields()[0])
+            rules.append(_rule(source, what, found, covered, apart[what], margin))
+        fields = config.of(captures[0])[0].fields()[0]
+        shares, constants = _reserved(extremes, fields), _constants(extremes, fields)
         share = f"{(margin * 100).normalize():f}"
         head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=share)
         # The gate itself says which rules these flights keep, and what part of the values is reserved.
-        Path(aside, "rules").write_text(_text(head, [*rules, *shares]), encoding="utf-8")
+        Path(aside, "rules").write_text(_text(head, [*rules, *shares, *constants]), encoding="utf-8")
         verdicts = {name: rows for name, (rows, _) in zip(names, ask("check,rules=rules,json"), strict=True)}
-        _mark_lost([*rules, *shares], verdicts)
+        _mark_lost([*rules, *shares, *constants], verdicts)
         rules += [rule for rule in shares if _learn_share(rule, margin)]
+        rules += [rule for rule in constants if rule.seen and not rule.lost]
     said = [f"{name}: {text}" for name, (_, texts) in told.items() for text in texts if not text.startswith(OF_CHECK)]
     return _text(head, rules), said
 
@@ -105,27 +109,66 @@ def _extremes(flights: dict[str, list[Record]]) -> dict[tuple[str, str], list[Ex
     return found
 
 
-def _rule(source: str, what: str, found: list[Extreme], covered: list[Extreme], margin: Decimal) -> Rule:
-    """Return the rule of what was found. covered: what the margin is a share of."""
+def _least_apart(extremes: dict[tuple[str, str], list[Extreme]]) -> dict[str, tuple[Decimal, Decimal]]:
+    """Return by name of a rule how far flights are apart at least, below and above.
+
+    The flights of one controller may be alike by chance: they are apart as those of most controllers, and by a step of
+    the field, which is the least distance of two of its extremes.
+    """
+    sources = defaultdict(list)
+    for (_, what), found in extremes.items():
+        sources[what].append(found)
+    least = {}
+    for what, peers in sources.items():
+        field, _, measure = what.rpartition(".")
+        numbers = sources.get(f"{field}.numbers", []) if measure in ("numbers", "spread") else []
+        values = sorted({value for found in numbers for row in found for value in row[:2]})
+        step = min((after - before for before, after in pairwise(values)), default=Decimal(0))
+        below = median(_apart([low for low, _, _ in found], -1) for found in peers)
+        above = median(_apart([high for _, high, _ in found], 1) for found in peers)
+        least[what] = max(step, below), max(step, above)
+    return least
+
+
+def _rule(
+    source: str,
+    what: str,
+    found: list[Extreme],
+    covered: list[Extreme],
+    apart: tuple[Decimal, Decimal],
+    margin: Decimal,
+) -> Rule:
+    """Return the rule of what was found.
+
+    covered: what the margin is a share of; apart: how far flights are apart at least, below and above.
+    """
     measure = what.removesuffix(".messages").rpartition(".")[2]
     from_zero = measure in ("rate", "gap", "spread")
     share = margin * (max(high for _, high, _ in covered) - (0 if from_zero else min(low for low, _, _ in covered)))
-    top, highest = _limit([(high, name) for _, high, name in found], share, margin, 1)
-    bottom, lowest = _limit([(low, name) for low, _, name in found], share, margin, -1)
+    top, highest = _limit([(high, name) for _, high, name in found], share, margin, 1, apart[1])
+    bottom, lowest = _limit([(low, name) for low, _, name in found], share, margin, -1, apart[0])
     if measure in ("gap", "spread"):
         return Rule(source, f"{what}={top}", highest)
     return Rule(source, f"{what}={bottom}..{top}", f"{lowest}, {highest}")
 
 
-def _limit(ends: list[tuple[Decimal, str]], share: Decimal, margin: Decimal, sign: int) -> tuple[str, str]:
+def _apart(values: Sequence[Decimal], sign: int) -> Decimal:
+    """Return how far the extreme of flights, above (sign 1) or below (-1), lies beyond the median flight's."""
+    return abs(max(values, key=lambda value: sign * value) - median(values))
+
+
+def _limit(
+    ends: list[tuple[Decimal, str]], share: Decimal, margin: Decimal, sign: int, apart: Decimal = Decimal(0)
+) -> tuple[str, str]:
     """Return the limit above (sign 1) or below (-1) what was seen, and the extreme that it comes from.
 
-    It lies beyond the extreme by the margin, and by twice as much as this lies beyond the median flight's: where
-    flights differ, the next one differs, too. An extreme of 0 is most likely a bound, such as that of a motor that
-    stands: beyond it is room for noise only.
+    It lies beyond the extreme by the margin, and by twice as much as flights are apart, at least `apart`: where flights
+    differ, the next one differs, too. An extreme of 0 is most likely a bound, such as that of a motor that stands:
+    beyond it is room for noise only.
     """
     extreme, name = max(ends, key=lambda end: sign * end[0])
-    beyond = max(share, margin * LEAST_RANGE * abs(extreme)) + 2 * abs(extreme - median(value for value, _ in ends))
+    apart = max(apart, _apart([value for value, _ in ends], sign))
+    beyond = max(share, margin * LEAST_RANGE * abs(extreme)) + 2 * apart
     beyond = beyond if extreme else share * NOISE
     limit = extreme
     if beyond:
@@ -160,6 +203,16 @@ def _reserved(extremes: dict[tuple[str, str], list[Extreme]], fields: Record) ->
         if column["name"].endswith("_special")
     }
     return [Rule(source, f"{what.removesuffix('.numbers')}.reserved=0") for source, what in extremes if what in floats]
+
+
+def _constants(extremes: dict[tuple[str, str], list[Extreme]], fields: Record) -> list[Rule]:
+    """Return a rule for each meaning of each enum, that it always has this one: good flights keep one or none."""
+    return [
+        Rule(source, f"{message}.{column['name']}={number}..{number}", text)
+        for source, message in dict.fromkeys((source, what.partition(".")[0]) for source, what in extremes)
+        for column in fields["messages"][message]["columns"]
+        for number, text in (column.get("values") or {}).items()
+    ]
 
 
 def _learn_share(rule: Rule, margin: Decimal) -> bool:
