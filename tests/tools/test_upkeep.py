@@ -4,6 +4,7 @@
 import json
 import os
 
+import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.dataset as ds
@@ -273,4 +274,7 @@ def test_partitions_by_day_and_by_vehicle(make_capture, tmp_path):
     found = ds.dataset(tmp_path / "other/message=motor", partitioning="hive").to_table()
     vehicles = dict(zip(found["source_file"].to_pylist(), found["vehicle"].to_pylist(), strict=True))
     assert vehicles == {"a.pcapng": "N 1/a", "b.pcapng": None}
+    # Its own types of columns cannot have a folder without a name.
+    frame = pd.read_parquet(tmp_path / "other/message=motor", dtype_backend="pyarrow")
+    assert frame.groupby("vehicle", dropna=False).size().tolist() == [3, 3]
     assert "mcap has no partitions" in convert(tmp_path, "a.pcapng", to="mcap", out="third", code=2, more=more)
