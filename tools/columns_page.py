@@ -38,6 +38,7 @@ What is absent is null. A reserved value is null, too; `<field>_special` has its
 | time | timestamp(ns, UTC) | timestamp(us, UTC); `time_ns` has nanoseconds | UTC, nine digits | the time axis | the log time, else text |
 | duration | duration(ns) | int64, nanoseconds | seconds, nine digits | seconds | seconds |
 | text | dictionary of strings | string | text | text | text |
+| string | string | string | text | text | text |
 | uint8, uint16, uint32 | the same | int16, int32, int64 | number | the same | integer |
 | uint64 | the same | decimal(20, 0) | number | the same | integer |
 
