@@ -220,6 +220,8 @@ def test_flights_of_one_controller_that_are_alike_by_chance():
     extremes = {("", "m.t.numbers"): row((1, 8), (1, 8), (1, 8))}
     extremes |= {(str(number), "m.t.numbers"): found for number, found in enumerate(others)}
     assert baseline._least_apart(extremes) == {"m.t.numbers": (Decimal("0.5"), Decimal("0.5"))}
+    one = {("", "m.t.numbers"): row((1, 8))}  # that 1 and 8 are 7 apart says nothing
+    assert baseline._least_apart(one) == {"m.t.numbers": (0, 0)}
     extremes["", "m.t.spread"] = row((3, 3), (3, 3))
     extremes["", "m.t.mean"] = row((4, 4), (4, 4))
     least = baseline._least_apart(extremes)

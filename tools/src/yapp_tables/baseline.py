@@ -113,7 +113,7 @@ def _least_apart(extremes: dict[tuple[str, str], list[Extreme]]) -> dict[str, tu
     """Return by name of a rule how far flights are apart at least, below and above.
 
     The flights of one controller may be alike by chance: they are apart as those of most controllers, and by a step of
-    the field, which is the least distance of two of its extremes.
+    the field, which is the least distance of two of its lowest, or highest, values.
     """
     sources = defaultdict(list)
     for (_, what), found in extremes.items():
@@ -122,8 +122,10 @@ def _least_apart(extremes: dict[tuple[str, str], list[Extreme]]) -> dict[str, tu
     for what, peers in sources.items():
         field, _, measure = what.rpartition(".")
         numbers = sources.get(f"{field}.numbers", []) if measure in ("numbers", "spread") else []
-        values = sorted({value for found in numbers for row in found for value in row[:2]})
-        step = min((after - before for before, after in pairwise(values)), default=Decimal(0))
+        lows = sorted({low for found in numbers for low, _, _ in found})
+        highs = sorted({high for found in numbers for _, high, _ in found})
+        steps = [after - before for values in (lows, highs) for before, after in pairwise(values)]
+        step = min(steps, default=Decimal(0))
         below = median(_apart([low for low, _, _ in found], -1) for found in peers)
         above = median(_apart([high for _, high, _ in found], 1) for found in peers)
         least[what] = max(step, below), max(step, above)

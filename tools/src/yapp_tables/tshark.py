@@ -113,7 +113,11 @@ class Tshark:
         """
         check_file(capture)
         done = _run(self._command(capture, statistics), Path(folder), self._environment())
-        if done.returncode != BROKEN and (why := self._refusal(capture, done, written=True)):
+        if done.returncode == BROKEN:  # instead of tshark's own code: what it says of the file tells
+            why = _complaint("\n".join(line for line in done.stderr.splitlines() if f'"{capture.resolve()}"' in line))
+        else:
+            why = self._refusal(capture, done, written=True) or ""
+        if why:
             raise CaptureError(f"{capture}: {why}")
         said = dict.fromkeys(line for line in _said(done) if not COPIES.search(line))
         return list(_json_lines(done.stdout)), list(said)
