@@ -380,6 +380,9 @@ def packet_file(rng, count):
     return (pcap if len(links) == 1 and rng.random() < 0.6 else pcapng)(rng, packets, arguments)
 
 
+CANDUMP_STYLES = 5  # of candump_line
+
+
 def candump_line(rng, style, now, bus, can_id, data, fd):
     name = f"can{bus}"
     ident = f"{can_id & 0x1FFFFFFF:08X}" if can_id & EXTENDED else f"{can_id & 0x7FF:03X}"
@@ -423,7 +426,7 @@ def damaged_lines(rng, lines):
 
 
 def candump_file(rng, count):
-    style, lines = rng.randrange(5), []
+    style, lines = rng.randrange(CANDUMP_STYLES), []
     for frame, now in zip(can_traffic(rng, count), times(rng, count)):
         lines.append(candump_line(rng, style, now, *frame).encode())
     end = rng.choice((b"\n", b"\n", b"\r\n"))
