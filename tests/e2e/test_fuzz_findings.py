@@ -58,7 +58,7 @@ def planted(folder, monkeypatch):
 
 
 LOADED = ("yapp.lua", "local VERSION")
-DISSECTOR = ("yapp/serial/framer.lua", "function Framer:add")
+DISSECTOR = ("yapp/serial/framer.lua", "function Framer:add(")
 READER = ("yapp/reading/messages.lua", "function Messages:read(")
 INIT = ("yapp.lua", "function yapp.init")
 # A protocol of its own, in the packets of which Wireshark finds a fault that is not said to be ours.
