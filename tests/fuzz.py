@@ -393,17 +393,21 @@ EVERY_WAY = [TREE, TWO_PASSES, ("-2", *FILTER), ("sharkd",)]
 
 
 def replay(path, ways=EVERY_WAY):
-    """What goes wrong with a kept capture: as it was found, and in other ways; also that nothing of it was read."""
+    """What goes wrong with a kept capture: as it was found, and in other ways; also that, as it was found, nothing is shown of
+    it, unless by a filter that only an error passes."""
     sidecar = path.with_suffix(".args")
     lines = [line for line in sidecar.read_text().splitlines() if not line.startswith("#")] if sidecar.exists() else []
     arguments, found = (shlex.split(line) for line in (lines + ["", ""])[:2])
+    as_found = tuple(found) or TREE
+    shows = not set(FILTER) <= set(as_found)
     capture = Capture(path.suffix, b"", [path.read_bytes()], [arguments] if arguments else [])
     folder = tshark.writable_folder()
     try:
-        for way in dict.fromkeys([tuple(found) or TREE, *ways]):
+        for way in dict.fromkeys([as_found, *ways]):
             if way[0] != "sharkd" or shutil.which("sharkd"):
                 run = show_file(capture, way, folder, tshark.ROUTE == "plugin")
-                problem = run.problem or (None if run.out.strip() else "it printed nothing")
+                is_silent = shows and way == as_found and not run.out.strip()
+                problem = run.problem or ("it printed nothing" if is_silent else None)
                 if problem:
                     yield f"{shlex.join(way)}: {problem}"
     finally:
