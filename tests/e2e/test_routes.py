@@ -118,8 +118,8 @@ def test_printer_of_a_flight(folder, seed):
     log = flight.write(folder / "flight.log", "candump")
     logconvert(log, folder / "run.txt")
     run(folder, *commands("Text that python-can prints"))
-    wanted, found = (tshark.fields(path, ["taurus.motor.dc_voltage", "taurus.motor.rpm_measured", "yapp.bus"], "-X",
-                                   "read_format:yapp_candump") for path in (log, folder / "run.log"))
+    wanted, found = (tshark.fields(path, ["taurus.motor.dc_voltage", "taurus.motor.rpm_measured", "yapp.bus"],
+                                   *flight.arguments("candump")) for path in (log, folder / "run.log"))
     assert found == wanted and any(row[0] for row in wanted)
 
 

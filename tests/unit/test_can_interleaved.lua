@@ -172,6 +172,24 @@ function T.test_a_read_filter()
   lu.assertEquals(words.visits(known, { frames[2], frames[3], frames[4] }, true), ". . good")
 end
 
+-- It drops a frame of messages that interleave: the next packet has its number.
+function T.test_a_read_filter_between_interleaved_messages()
+  local sequence = "aS32 bS32 aM8 bM8 aM8 bM8 aM8 bM8 aE8 bE8"
+  for dropped = 3, 8 do
+    local known, frames = words.new(), words.frames(sequence, {})
+    for i, frame in ipairs(frames) do
+      if i == dropped + 1 then known.reassembly:forget(dropped * 2 ^ 17 + 8) end
+      if i > dropped then frame.number = i - 1 end
+      words.visit(known, frame)
+    end
+    for i = dropped + 1, #frames do
+      local _, found = words.visit(known, frames[i], true)
+      lu.assertEquals({ found.in_number, found.index }, { i % 2 == 1 and 8 or 9, math.floor((i + 1) / 2) },
+        ("%d dropped, %d"):format(dropped, i))
+    end
+  end
+end
+
 -- Whoever was given an anomaly sees that it is withdrawn.
 function T.test_what_is_withdrawn_is_void()
   local known, anomaly = words.new(), nil

@@ -280,6 +280,18 @@ local function is_full(self)
   return self.bytes > limit
 end
 
+--- Forget the newest packet, see frame_key.forget.
+-- key    of a frame of the next packet
+-- other  a message in which the store forgets it
+function Pool:forget(key, other)
+  local number = frame_key.number(key)
+  frame_key.forget(self.keys, number)
+  for i, frame in ipairs(self.frames) do frame.key = self.keys[i] end
+  for _, candidate in ipairs(self.open) do
+    if candidate.message ~= other then frame_key.forget(candidate.message, number) end
+  end
+end
+
 --- Add a Middle or End.
 -- returns  as Reassembly:add
 function Pool:add_fragment(frame)

@@ -57,6 +57,7 @@ function M.new(can_judge, on_unknown)
     store = store.new(),
     -- Of the newest frame; false for none (COMPAT 5.2: nil makes the table anew).
     message = false,
+    slot = false,
     anomalies = false,
     keeps = true, -- true if it may be visited again
   }, Reassembly)
@@ -184,7 +185,7 @@ end
 -- Make a pool of the open message in the slot of a frame.
 local function make_pool(self, message, frame)
   for i = 2, self.keeps and #message or 0 do
-    self.store:keep_anomalies(message[i], {})
+    self.store:keep_anomalies(message[i], frame.can_id.message_key, {})
   end
   local pool = interleaved.new(self, message, frame.can_id)
   self.open[frame.slot] = pool
@@ -386,11 +387,11 @@ function Reassembly:add(frame)
   self.anomalies, self.keeps = false, keeps
   local kind, message = ADDERS[frame.can_id.ctrl](self, frame)
   if keeps then
-    self.message = message or false
+    self.message, self.slot = message or false, frame.slot
     -- It is not known yet which message an interleaved fragment belongs to, if any.
     local is_other = kind == "other" or kind == "fragment" and not message.chunks
     if self.anomalies or is_other then
-      self.store:keep_anomalies(frame.key, self.anomalies or {})
+      self.store:keep_anomalies(frame.key, frame.can_id.message_key, self.anomalies or {})
     end
   end
   return kind, message, self.anomalies
@@ -405,6 +406,8 @@ end
 
 --- Forget the newest frame: a read filter dropped its packet, so the next one has its key.
 function Reassembly:forget(key)
+  local pool = self.open[self.slot]
+  if pool and not pool.chunks then pool:forget(key, self.message) end
   self.store:forget(key, self.message)
   self.message = false
 end
@@ -434,7 +437,7 @@ end
 --          twice, the index of the one before
 function Reassembly:recall(frame)
   local message, index = find(self, frame)
-  local anomalies = self.store:anomalies_of(frame.key)
+  local anomalies = self.store:anomalies_of(frame.key, frame.can_id.message_key)
   if message then
     local is_last = message.payload and message[#message] == frame.key
     return is_last and "last" or "fragment", message, anomalies, index

@@ -37,7 +37,7 @@ Store.__index = Store
 function M.new()
   return setmetatable({
     slots = {}, -- [slot] = see new_slot
-    anomalies = {}, -- [frame key] = list, see can.reassembly
+    anomalies = {}, -- [frame key] = see keep_anomalies
     originals = {}, -- [frame key of a fragment that came twice] = that of the fragment it repeats
   }, Store)
 end
@@ -77,8 +77,10 @@ function Store:keep(message)
 end
 
 --- Keep the anomalies of a frame.  If its message is not known yet, the list may be empty.
-function Store:keep_anomalies(key, list)
-  self.anomalies[key] = list
+-- message_key  of its CAN id: a read filter may give its frame key to a frame that is not YAPP's
+-- list         see can.reassembly
+function Store:keep_anomalies(key, message_key, list)
+  self.anomalies[key] = { message_key = message_key, list = list }
 end
 
 --- Keep that a fragment came twice.
@@ -88,18 +90,17 @@ function Store:keep_duplicate(key, original)
 end
 
 --- Return the anomalies of a frame that still hold; nil where none were kept.
-function Store:anomalies_of(key)
+function Store:anomalies_of(key, message_key)
   if self.originals[key] then return { DUPLICATE } end
   local kept, list = self.anomalies[key], {}
-  if not kept then return nil end
-  for _, anomaly in ipairs(kept) do
+  if not (kept and kept.message_key == message_key) then return nil end
+  for _, anomaly in ipairs(kept.list) do
     if not anomaly.is_withdrawn then list[#list + 1] = anomaly end
   end
   return list
 end
 
---- Forget the newest packet: a read filter dropped it, and the next packet has its number.  Its
--- frames get keys that no frame has (key - 0.5).
+--- Forget the newest packet, see frame_key.forget.
 -- key      of the first frame of the next packet
 -- message  of the newest frame, or false
 function Store:forget(key, message)
@@ -107,9 +108,7 @@ function Store:forget(key, message)
   if not message or number_of(message[#message]) ~= number_of(key) then return end
   local slot = message.payload and self.slots[message.slot]
   local index = slot and last_until(slot.starts, message[1])
-  for i = #message, 1, -1 do
-    if number_of(message[i]) == number_of(key) then message[i] = message[i] - 0.5 end
-  end
+  frame_key.forget(message, number_of(key))
   if not slot then return end
   slot.starts[index], slot.messages[index] = message[1], message
 end
