@@ -150,8 +150,8 @@ local function elapsed_since(source, message, advance)
   return advance > 0 and advance <= MAX_JUMP and advance or source.period
 end
 
--- Return whether the capture goes back as far as the controller's clock: its packets are not in
--- the order of time, as in two logs one behind the other.  That is no reboot.
+-- Return whether the capture's clock goes back by the same time as the controller's: the packets
+-- are not in the order of time, as in two logs one behind the other.  That is no reboot.
 local function did_both_go_back(source, advance, elapsed)
   if advance >= 0 or elapsed >= 0 or not source.has_clock then return false end
   return math.abs(advance - elapsed) <= -elapsed / 4

@@ -5,7 +5,7 @@
 -- Their bulk endpoints carry the bytes of the line as they are.  FTDI's adapters put two bytes of
 -- status in front of each packet of the bus, of which a transfer may have several:
 --
---   01 60 59 50 .   62 bytes of the line behind 2 of status, then again 2 and up to 62
+--   01 60 59 50 ...   62 bytes of the line behind 2 of status, then again 2 and up to 62
 
 local M = {}
 
