@@ -208,7 +208,7 @@ local function keep_duplicates(self)
     if frame.is_taken then
       original = frame
     else
-      self.reassembly:keep_duplicate(frame.key, original.key)
+      self.reassembly:keep_duplicate(frame.key, self.can_id.message_key, original.key)
     end
   end
 end

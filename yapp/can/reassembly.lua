@@ -57,7 +57,7 @@ function M.new(can_judge, on_unknown)
     store = store.new(),
     -- Of the newest frame; false for none (COMPAT 5.2: nil makes the table anew).
     message = false,
-    slot = false,
+    slot = -1, -- of no frame
     anomalies = false,
     keeps = true, -- true if it may be visited again
   }, Reassembly)
@@ -142,8 +142,9 @@ end
 
 --- Keep that a fragment came twice.
 -- key, original  frame keys: of the second one, and of the first
-function Reassembly:keep_duplicate(key, original)
-  if self.keeps then self.store:keep_duplicate(key, original) end
+-- message_key    of their CAN id
+function Reassembly:keep_duplicate(key, message_key, original)
+  if self.keeps then self.store:keep_duplicate(key, message_key, original) end
 end
 
 -- Slots ------------------------------------------------------------------------------------------
@@ -408,7 +409,7 @@ end
 function Reassembly:forget(key)
   local pool = self.open[self.slot]
   if pool and not pool.chunks then pool:forget(key, self.message) end
-  self.store:forget(key, self.message)
+  self.store:forget(key, self.slot % can_id.BUS, self.message)
   self.message = false
 end
 

@@ -25,10 +25,10 @@ for packets = 1, 255 do CHARS[packets * PACKET] = string.char(packets) end
 local FAULT = byte("!")
 local MAX_BEFORE = 8 -- so many messages of a slot may begin inside another one
 
-local DUPLICATE = {
+local DUPLICATES = { {
   expert = "fragment.duplicate",
   text = "Duplicate of the fragment before it: the CRC is good without it",
-}
+} }
 
 local Store = {}
 Store.__index = Store
@@ -37,7 +37,8 @@ Store.__index = Store
 function M.new()
   return setmetatable({
     slots = {}, -- [slot] = see new_slot
-    anomalies = {}, -- [frame key] = see keep_anomalies
+    -- [message key][frame key] = list: a frame of another message may get the frame key
+    anomalies = {},
     originals = {}, -- [frame key of a fragment that came twice] = that of the fragment it repeats
   }, Store)
 end
@@ -77,34 +78,44 @@ function Store:keep(message)
 end
 
 --- Keep the anomalies of a frame.  If its message is not known yet, the list may be empty.
--- message_key  of its CAN id: a read filter may give its frame key to a frame that is not YAPP's
+-- message_key  of its CAN id
 -- list         see can.reassembly
 function Store:keep_anomalies(key, message_key, list)
-  self.anomalies[key] = { message_key = message_key, list = list }
+  local of_key = self.anomalies[message_key]
+  if not of_key then
+    of_key = {}
+    self.anomalies[message_key] = of_key
+  end
+  of_key[key] = list
 end
 
 --- Keep that a fragment came twice.
 -- key, original  frame keys: of the second one, and of the first
-function Store:keep_duplicate(key, original)
+-- message_key    of their CAN id
+function Store:keep_duplicate(key, message_key, original)
   self.originals[key] = original
+  self:keep_anomalies(key, message_key, DUPLICATES)
 end
 
 --- Return the anomalies of a frame that still hold; nil where none were kept.
 function Store:anomalies_of(key, message_key)
-  if self.originals[key] then return { DUPLICATE } end
-  local kept, list = self.anomalies[key], {}
-  if not (kept and kept.message_key == message_key) then return nil end
-  for _, anomaly in ipairs(kept.list) do
+  local of_key, list = self.anomalies[message_key], {}
+  local kept = of_key and of_key[key]
+  if not kept then return nil end
+  for _, anomaly in ipairs(kept) do
     if not anomaly.is_withdrawn then list[#list + 1] = anomaly end
   end
   return list
 end
 
 --- Forget the newest packet, see frame_key.forget.
--- key      of the first frame of the next packet
--- message  of the newest frame, or false
-function Store:forget(key, message)
-  self.anomalies[key], self.originals[key] = nil, nil
+-- key          of the first frame of the next packet
+-- message_key  of the newest frame
+-- message      of the newest frame, or false
+function Store:forget(key, message_key, message)
+  local of_key = self.anomalies[message_key]
+  if of_key then of_key[key] = nil end
+  self.originals[key] = nil
   if not message or number_of(message[#message]) ~= number_of(key) then return end
   local slot = message.payload and self.slots[message.slot]
   local index = slot and last_until(slot.starts, message[1])
