@@ -200,7 +200,7 @@ def reference(make):
 # Tests -----------------------------------------------------------------------------------------------------------
 
 @levels.each_once
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", levels.few(list(FORMS), ["pcapng", "sll2.pcap", "log"]))
 @pytest.mark.parametrize("make", [turns, flight], ids=lambda make: make.__name__)
 def test_every_client(make, form, folder, home):
     frames = make()
