@@ -69,11 +69,11 @@ QUICK = 12  # tests that run in one process before the others
 LUAS = ("lua5.4", "lua5.2")
 ENDS = {"if": "then", "elseif": "then", "while": "do"}
 # A line that is no statement of its own, or without which a local variable is nil: the first test sees that.  A field that is
-# nil in a constructor documents itself: without it nothing changes.
-NO_STATEMENT = re.compile(r"\s*(?:$|--|\"|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|\w+ = nil,|[\])}{]|"
+# nil or false in a constructor documents itself: without it nothing changes.
+NO_STATEMENT = re.compile(r"\s*(?:$|--|\"|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|\w+ = (?:nil|false),|[\])}{]|"
                           r".*[,({]\s*$)")
 BYTES = re.compile(r"local [\w, ]+ = (?:\w+:byte\(|byte\([\w.]+, )[^(),]+, (?:\w+ \+ )?\d+\)$")
-LEAST = re.compile(r"if (\S+) [<>] (\S+) then \2 = \1 end$")
+LEAST = re.compile(r"if (?:not \S+ or )?(\S+) [<>] (\S+) then \2 = \1 end$")
 MEMORY = 2 * 2**30
 # Mutants remove, rename and write files of any name: never as root.
 NOBODY = pwd.getpwnam("nobody")

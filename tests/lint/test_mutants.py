@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What tests the tests: the list of mutants that no test can tell from the module names lines that are there; which test failed."""
+"""What tests the tests: the list of mutants that no test can tell from the module names mutants that are made; which test failed."""
 import pathlib
 import sys
 
@@ -7,12 +7,31 @@ import pytest
 
 TOP = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(TOP / "tests"))
+import mutate  # noqa: E402
 import witnesses  # noqa: E402
 
 
-def test_each_line_stands_in_its_module():
+def lines_of_mutants(module):
+    """The mutants of a module as the list has them: (line before, line after)."""
+    text = (TOP / module).read_text()
+    for start, end, new in mutate.mutants(pathlib.Path(module), text):
+        yield mutate.line_at(text, start), mutate.line_at(text[:start] + new + text[end:], start) or "(left out)"
+
+
+def test_each_row_is_a_mutant_of_its_module():
     rows = [line.split("\t") for line in (TOP / "tests/equivalent_mutants.txt").read_text().splitlines()[1:]]
-    assert [before for module, before, *_ in rows if before not in map(str.strip, (TOP / module).open())] == []
+    made = {module: set(lines_of_mutants(module)) for module in {row[0] for row in rows}}
+    assert rows
+    assert [row for row in rows if len(row) != 4 or (row[1], row[2]) not in made[row[0]]] == []
+
+
+@pytest.mark.parametrize("line, is_made", [
+    ("if a.b > most then most = a.b end", False), ("if not most or a.b > most then most = a.b end", False),
+    ("if not most or a.b > most then found = a.b end", True),
+])
+def test_of_two_equals_either_is_the_least(line, is_made):
+    changed = {line[:start] + new + line[end:] for start, end, new in mutate.mutants(pathlib.Path("one.lua"), line)}
+    assert (line.replace(">", ">=") in changed) is is_made
 
 
 @pytest.mark.parametrize("name", ["test_a.py::test_b", "test_a.py::test_b[2^N - 6 (mapping)]", "test_a.py::TestC::test_b[one pass]"])
