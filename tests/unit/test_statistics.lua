@@ -769,6 +769,44 @@ function T.test_mean()
   lu.assertEquals(select(2, verdicts("motor.volts.mean=..12", {})), 21)
 end
 
+-- LEFT has 10 and 14 V, three others 8, 9 and 7 V: 12 is 1.5 times their mean, 7 is 7 / (29 / 3) of theirs.
+function T.test_ratio()
+  local others = {}
+  for id = 1, 3 do others[id] = { bus_key = 2, bus = "can1", name = "r" .. id, id = id, type = MOTOR } end
+  local records = { record(1, 0), record(2, 1, { source = others[1], payload = payload(8) }),
+    record(3, 2, { payload = payload(255) }), record(4, 3, { payload = payload(14) }),
+    record(5, 4, { source = others[2], payload = payload(9) }), record(6, 4, { source = others[3], payload = payload(7) }),
+    record(7, 5, { source = HEALTHY, payload = ("\1"):rep(8) }) }
+  lu.assertEquals(verdicts("source=left,motor.volts.ratio=1.5..1.5,motor.volts.ratio=1.6..,motor.volts.ratio=..1.4", records), {
+    "motor.volts.ratio=1.5..1.5 left true 1.5 null", "motor.volts.ratio=1.6.. left false 1.5 null",
+    "motor.volts.ratio=..1.4 left false 1.5 null", "unknown=0 null true 0 null" })
+  local seen = verdicts("motor.volts.ratio=0.7..1.6", records)
+  lu.assertEquals(seen[4], "motor.volts.ratio=0.7..1.6 r3 true 0.72413793103448276 null")
+  lu.assertEquals(#seen, 5)
+  local function reason(...)
+    local printed, code = run({ "check,source=left,motor.volts.ratio=..2" }, { ... })
+    lu.assertEquals(code, 21)
+    return printed
+  end
+  lu.assertStrContains(reason(record(1, 0), record(2, 0, { source = others[1], payload = payload(255) })),
+    "no other source of it has a value")
+  lu.assertStrContains(reason(record(1, 0), record(2, 0, { source = others[1], payload = payload(0) })),
+    "the mean of the other sources is 0")
+  lu.assertStrContains(reason(record(1, 0, { payload = payload(255) })), "all its values are reserved")
+end
+
+function T.test_only_some_flags()
+  local records = { record(1, 0), record(2, 1, { payload = payload(10, 0x81) }), record(3, 2, { payload = payload(10, 0x7) }),
+    record(4, 3, { source = RIGHT, payload = payload(10, 0x4) }) } -- 0x4 is a bit of stall, 0x80 of level
+  lu.assertEquals(verdicts("motor.fault_flags.only=stall,motor.fault_flags.only=,motor.fault_flags.only=stall+hot", records), {
+    "motor.fault_flags.only=stall left false 2 2", "motor.fault_flags.only=stall null true 0 null",
+    "motor.fault_flags.only= left false 2 3", "motor.fault_flags.only= null false 1 4",
+    "motor.fault_flags.only=stall+hot left true 0 null", "motor.fault_flags.only=stall+hot null true 0 null",
+    "unknown=0 null true 0 null" })
+  lu.assertStrContains(run({ "check,motor.fault_flags.only=" }, records), "hot, stall, of 3 values")
+  lu.assertEquals(select(2, verdicts("motor.fault_flags.only=hot", {})), 21)
+end
+
 function T.test_spread()
   local records = { record(1, 0, { payload = payload(10) }), record(2, 0.1, { source = RIGHT, payload = payload(12) }),
     record(3, 0.2, { payload = payload(11) }), -- 1 apart
@@ -1585,6 +1623,10 @@ function T.test_wrong_options_are_named()
     ["check,source=x,motor.volts.spread=1"] = "motor.volts.spread=1: a spread is of all sources, not of one",
     ["check,motor.volts.spread=-1"] = 'motor.volts.spread=-1: "-1" is not a spread',
     ["check,motor.volt.spread=1"] = 'motor.volt.spread=1: motor has no field "volt", but volts, fault_flags, level, mode, clock',
+    ["check,motor.volts.only=hot"] = "motor.volts.only=hot: motor.volts has no flags",
+    ["check,motor.fault_flags.only=hot+cold"] =
+      'motor.fault_flags.only=hot+cold: motor.fault_flags has no flag "cold", but hot, stall',
+    ["check,motor.volts.ratio=1"] = "motor.volts.ratio=1: a range is A..B, A.. or ..B",
     ["check,source="] = "source=: it is empty",
     ["check,junit="] = "junit=: it is empty",
     ["check,rules="] = "rules=: it is empty",

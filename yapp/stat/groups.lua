@@ -2,6 +2,7 @@
 -- The gathering of a statistic: of each source counts, times, gaps and values; of all sources of
 -- one message, how far their values lie apart.  Pure Lua, 5.2 to 5.5.
 
+local bits = require "yapp.base.bits"
 local field_kinds = require "yapp.message.field_kinds"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
@@ -14,10 +15,11 @@ local number_of_raw = field_kinds.number
 local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
 
--- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent; NaN
--- for a reserved value, nil where the message does not have the field.
+-- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent, of
+-- flags those of a mask; NaN for a reserved value, nil where the message does not have the field.
 local function number_of(values, raws)
-  local field, raw = values.field, raws[values.index]
+  local field, raw, mask = values.field, raws[values.index], values.mask
+  if mask then return raw and bits.band(raw, mask) end
   if values.index then return raw and number_of_raw(field, raw) end
   return field_kinds.value(field, raws)
 end
@@ -36,6 +38,7 @@ local function new_values(want, spread)
   return {
     field = field,
     index = field.index or false, -- a derived value has none
+    mask = want.mask, -- of some flags, nil for the whole value
     -- The highest raw value that is a number, where raw values are gathered: see add_values.
     ordinary = not is_judged and field_kinds.linear_top(field) or false,
     low = want.low or -INFINITE,

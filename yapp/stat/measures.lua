@@ -5,7 +5,9 @@
 -- A measure is a function(group, rule, check), which returns the value to judge, its frame, a
 -- note, and the value that is farthest outside.  If there is none to judge: nil, nil, why.
 
+local bits = require "yapp.base.bits"
 local groups = require "yapp.stat.groups"
+local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
 local output = require "yapp.stat.output"
@@ -64,10 +66,53 @@ local function measure_mean(group, rule)
   return groups.row(group, values).mean, nil, ("of %d values"):format(values.count)
 end
 
+-- Divide the mean of a source by the mean of the other sources' means.
+local function measure_ratio(group, rule, check)
+  local own, _, note = measure_mean(group, rule)
+  if not own then return nil, nil, note end
+  local sum, count = 0, 0
+  for _, other in ipairs(check.list) do
+    local mean = other ~= group and other.type == group.type and measure_mean(other, rule)
+    if mean then sum, count = sum + mean, count + 1 end
+  end
+  if count == 0 then return nil, nil, "no other source of it has a value" end
+  if sum == 0 then return nil, nil, "the mean of the other sources is 0" end
+  return own * count / sum, nil, ("of %s"):format(output.count(count, "other source"))
+end
+
 local function measure_reserved(group, rule)
   local values = group.values[rule.want]
   if values.seen == 0 then return nil, nil, NO_VALUE end
   return (values.seen - values.count) / values.seen, nil, ("of %d values"):format(values.seen)
+end
+
+-- Count the values with another flag than those that the rule names, "only=ready+running".
+local function want_only(rule, field)
+  local flags, allowed, others = field.flags, 0, 0
+  input.demand(flags, "%s.%s has no flags", rule.message.name, field.name)
+  for name in rule.text:match("=(.*)$"):gmatch("[^+]+") do
+    local flag, names = input.find(flags, name)
+    input.demand(flag, "%s.%s has no flag %q, but %s", rule.message.name, field.name, name, names)
+    allowed = bits.bor(allowed, flag.mask)
+  end
+  for _, flag in ipairs(flags) do
+    if bits.band(flag.mask, allowed) == 0 then others = bits.bor(others, flag.mask) end
+  end
+  rule.high = 0
+  return { field = field, mask = others, low = 0, high = 0 }
+end
+
+-- The note names the flags of the worst value.
+local function measure_only(group, rule)
+  local values = group.values[rule.want]
+  if values.seen == 0 then return nil, nil, NO_VALUE end
+  local names = {}
+  for _, flag in ipairs(values.field.flags) do
+    local is_set = values.worst and bits.band(values.worst, flag.mask) ~= 0
+    if is_set then names[#names + 1] = flag.name end
+  end
+  names[#names + 1] = ("of %d values"):format(values.seen)
+  return values.outside, values.frame, table.concat(names, ", ")
 end
 
 local function measure_spread(_, rule, check)
@@ -81,7 +126,8 @@ end
 -- help     its meaning, for people
 -- measure  see above
 -- bound    the limit that a number is: "low" or "high"; is_count = true if it has no fraction
--- takes_range  true if the limit may be A..B, A.. or ..B; nothing else if there is no bound
+-- takes_range  true if the limit may be A..B, A.. or ..B; nothing else if there is no bound.
+--              Without both the limit is no number, and want sets it
 -- want     of a field: function(rule, field) -> an entry of Groups:wants
 -- needs_past, needs_time, scope  as in rows of kinds
 
@@ -143,12 +189,27 @@ M.OF_FIELD = {
     want = function(_, field) return { field = field } end,
   },
   {
+    name = "ratio",
+    text = "MESSAGE.FIELD.ratio=A..B",
+    help = "the mean, divided by that of the other sources, lies within",
+    measure = measure_ratio,
+    takes_range = true,
+    want = function(_, field) return { field = field } end,
+  },
+  {
     name = "reserved",
     text = "MESSAGE.FIELD.reserved=X",
     help = "at most this share of the values is reserved, 0.05 for 5 %",
     measure = measure_reserved,
     bound = "high",
     want = function(_, field) return { field = field } end,
+  },
+  {
+    name = "only",
+    text = "MESSAGE.FIELD.only=FLAG+FLAG",
+    help = "no flag but these is ever set",
+    measure = measure_only,
+    want = want_only,
   },
   {
     name = "spread",

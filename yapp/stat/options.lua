@@ -73,7 +73,7 @@ local function add_field(rule, name, value)
     "%s.%s is a text, which has no range", message.name, field.name)
   demand(not (rule.source and rule.kind.scope == "capture"),
     "a %s is of all sources, not of one", rule.kind.name)
-  set_limits(rule, value)
+  if rule.kind.bound or rule.kind.takes_range then set_limits(rule, value) end
   rule.want = rule.kind.want(rule, field)
 end
 
