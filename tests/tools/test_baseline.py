@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Limits learnt from good flights: other good flights keep them, each flight with a planted deviation does not.
 
-test_baseline.py FOLDER judges 20 good ones and 24 others after 10 good ones.
+test_baseline.py FOLDER judges 20 good ones and 28 others after 10 good ones.
 """
 
 import json
@@ -27,11 +27,13 @@ SOURCES = ",".join(
 OPTIONS = ("-o", "yapp.motor_ids:0x210,0x211", "-o", "yapp.health_ids:0x200,0x201", "-o", f"yapp.sources:{SOURCES}")
 # A motor 12 °C hotter, a battery 4 V lower, a controller's voltage 1.2 V lower, 8.5 messages a second, half the speed
 # in following the command; a reboot, an overcurrent of 0.5 s, a sensor that fails, a message that is lost; 30 % more
-# current, five times the noise of the speed, a second without messages.  Each breaks a rule with this in it.
+# current, five times the noise of the speed, a second without messages; 15 % more current, and Saturated for 5 s.
+# Each breaks a rule with this in it.
 DEVIATIONS = {
     "hot": "motor_temperature", "battery": "dc_voltage", "voltage": "dc_voltage", "slow": "rate", "lag": "rpm_error",
     "reboot": "reboot=0", "overcurrent": "fault=0", "sensor": "motor_temperature.reserved=0.05",
     "lost": "incomplete=0", "current": "dc_current", "noise": "rpm_error", "silence": "silence=0",
+    "worn": "dc_current.ratio", "saturated": "motor_state.only=running",
 }  # fmt: skip
 
 
@@ -58,7 +60,7 @@ def write(path, seed, deviation=None):
 def _controller(rng, odd, number, length, ambient, battery, phases, deviation):
     own, speed, time, share = rng.gauss(0, 0.6), 0.0, rng.uniform(0, 0.1), rng.uniform(0.55, 0.65)
     load, health, boot = rng.uniform(0.97, 1.03), 0.0, rng.randrange(10**12)
-    load *= 1.3 if deviation == "current" else 1
+    load *= {"current": 1.3, "worn": 1.15}.get(deviation, 1)
     half, clock = length / 2, boot
     while time < length:
         flown = min(max(time - 3, 0) / 2, 1)
@@ -75,6 +77,7 @@ def _controller(rng, odd, number, length, ambient, battery, phases, deviation):
         if is_late and deviation == "reboot":
             clock = -int(half * 1e9)
         faults = flights.OVERCURRENT if deviation == "overcurrent" and 0 < time - half < 0.5 else 0
+        state = 0x20 if faults else 0x12 if deviation == "saturated" and 0 < time - half < 5 else 2
         raw_motor = flights.NAN8 if is_late and deviation == "sensor" else flights.count(motor, -40, 210, 250)
         raw_speed = flights.count(measured, -60000, 60000, 65530)
         if odd and odd.random() < 0.01:
@@ -83,7 +86,7 @@ def _controller(rng, odd, number, length, ambient, battery, phases, deviation):
         payload = struct.pack(
             "<6HBBIIqBB", amperes, amperes, flights.count(command, -60000, 60000, 65530),
             raw_speed, flights.count(voltage, -128, 128, 65530), amperes,
-            raw_motor, 1, 0x12_0000, faults, clock + int(time * 1e9), 0x20 if faults else 2,
+            raw_motor, 1, 0x12_0000, faults, clock + int(time * 1e9), state,
             flights.count(heat, -40, 210, 250),
         )  # fmt: skip
         at = flights.START + int(time * 1e9)
@@ -210,6 +213,54 @@ def test_an_enum_that_never_changed(learnt, tmp_path):
     assert (code, broken) == (20, [f"{name} motor.motor_mode=0..0" for name in NAMES.values()])
 
 
+def test_flags_that_were_never_set(tmp_path):
+    """Of a flight with faults, those that it has may be set; a message that never came has no rule."""
+    flights.write(tmp_path / "a.pcapng", 5, 20)
+    learn(tmp_path, "a.pcapng", options=OPTIONS[:4])
+    text = (tmp_path / "flight.rules").read_text()
+    faults = re.search(r"(?m)^motor\.fault_flags\.only=(\S*)$", text)[1].split("+")
+    export = [
+        "tshark",
+        "-q",
+        "-r",
+        tmp_path / "a.pcapng",
+        "-X",
+        f"lua_script:{PLUGIN}",
+        *OPTIONS[:4],
+        "-z",
+        "yapp,faults,json",
+    ]
+    done = subprocess.run(export, capture_output=True, text=True, check=False)
+    rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    assert set(faults) == {row["flag"] for row in rows if row["field"] == "fault_flags"}
+    assert faults
+    assert re.search(r"(?m)^health\.taurus_status\.only=\S", text)
+    assert "source=" not in text
+    assert judge(tmp_path / "a.pcapng", tmp_path / "flight.rules") == (0, [])
+
+
+def test_ratios():
+    """10 A beside 8 and 7 A are 1.333 times their mean; a mean near 0 gives no ratio."""
+    sources = [
+        {"source": name, "mean": mean, "max": top} for name, mean, top in (("a", 10, 12), ("b", 8, 9), ("c", 7, 9))
+    ]
+    found = {name: round(float(ratio), 3) for name, ratio in baseline._ratios(sources).items()}
+    assert found == {"a": 1.333, "b": 0.941, "c": 0.778}
+    for mean, top in ((0.9, 90), (-7, 12), (None, None)):
+        assert baseline._ratios([*sources, {"source": "d", "mean": mean, "max": top}]) == {}, mean
+    assert baseline._ratios(sources[:1]) == {}
+
+
+def test_a_ratio_has_half_of_the_room():
+    found = row((1, 1), (1, 1), ("1.2", "1.2"))
+    rules = [
+        baseline._rule("", f"m.x.{measure}", found, found, (Decimal(0), Decimal(0)), Decimal("0.1"))
+        for measure in ("mean", "ratio")
+    ]
+    # Above: 2.5 % of 1.2, and twice 0.2; below: 2.5 % of 1.
+    assert [rule.text for rule in rules] == ["m.x.mean=0.975..1.63", "m.x.ratio=0.987..1.42"]
+
+
 def row(*ends):
     return [(Decimal(low), Decimal(high), f"flight{number}") for number, (low, high) in enumerate(ends)]
 
@@ -293,7 +344,7 @@ def trial(folder):
         code, rules = judge(write(folder / "clean.pcapng", seed), folder / "flight.rules")
         print("clean", seed, code, rules)
         broken[code] += 1
-    for seed in range(2000, 2024):
+    for seed in range(2000, 2028):
         deviation = list(DEVIATIONS)[seed % len(DEVIATIONS)]
         code, rules = judge(write(folder / "bad.pcapng", seed, deviation), folder / "flight.rules")
         print(deviation, seed, code, rules)

@@ -23,6 +23,10 @@ from .tshark import Record
 # A range that is narrow for its value counts as this share of the value: what never changed may do so a little.
 LEAST_RANGE = Decimal("0.25")
 NOISE = Decimal("0.1")  # of the margin, beyond an extreme of 0
+# What differs from flight to flight, such as speed and battery, is the same for all controllers: their ratio keeps to
+# this share of the room.
+ROOM_OF_RATIO = Decimal("0.5")
+LEAST_LOAD = Decimal("0.1")  # of the largest current, that a mean is where a ratio tells something
 HEAD = """\
 # Learnt by yapp-tables {version} from {flights}, with a margin of {margin} %.
 # A # takes a rule out; edit the numbers as you like. Behind each: the extreme of the good flights, and whose it is.
@@ -72,15 +76,17 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
             covered = extremes[source, f"{field}.numbers"] if measure == "mean" else found
             rules.append(_rule(source, what, found, covered, apart[what], margin))
         fields = config.of(captures[0])[0].fields()[0]
-        shares, constants = _reserved(extremes, fields), _constants(extremes, fields)
+        shares, constants, flags = _reserved(extremes, fields), _constants(extremes, fields), _flags(fields)
         share = f"{(margin * 100).normalize():f}"
         head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=share)
         # The gate itself says which rules these flights keep, and what part of the values is reserved.
-        Path(aside, "rules").write_text(_text(head, [*rules, *shares, *constants]), encoding="utf-8")
+        tried = [*rules, *shares, *constants, *(Rule("", text) for text in flags)]
+        Path(aside, "rules").write_text(_text(head, tried), encoding="utf-8")
         verdicts = {name: rows for name, (rows, _) in zip(names, ask("check,rules=rules,json"), strict=True)}
         _mark_lost([*rules, *shares, *constants], verdicts)
         rules += [rule for rule in shares if _learn_share(rule, margin)]
         rules += [rule for rule in constants if rule.seen and not rule.lost]
+        rules += _only(extremes, flags, verdicts)
     said = [f"{name}: {text}" for name, (_, texts) in told.items() for text in texts if not text.startswith(OF_CHECK)]
     return _text(head, rules), said
 
@@ -94,6 +100,9 @@ def _extremes(flights: dict[str, list[Record]]) -> dict[tuple[str, str], list[Ex
     for name, row in rows:
         message, seen = row["message"], dict[str, tuple[Any, Any]]()
         source = "" if "spread" in row or message in nameless else row["source"]
+        if row.get("unit") == "A" and message not in nameless:
+            for other, ratio in _ratios(row["sources"]).items():
+                found[other, f"{message}.{row['field']}.ratio"].append((ratio, ratio, name))
         if row.get("spread"):  # of values that never differed, their ranges say it
             seen = {f"{row['field']}.spread": (row["spread"], row["spread"])}
         elif "rate" in row:
@@ -107,6 +116,16 @@ def _extremes(flights: dict[str, list[Record]]) -> dict[tuple[str, str], list[Ex
             if low is not None:
                 found[source, f"{message}.{what}"].append((Decimal(low), Decimal(high), name))
     return found
+
+
+def _ratios(sources: Sequence[Record]) -> dict[str, Decimal]:
+    """Return by source its mean, divided by the mean of the others; nothing where a mean is about 0."""
+    means = {each["source"]: Decimal(each["mean"] or 0) for each in sources}
+    largest = max(Decimal(each["max"] or 0) for each in sources)
+    if len(means) < 2 or largest <= 0 or min(means.values()) < largest * LEAST_LOAD:
+        return {}
+    total, others = sum(means.values()), len(means) - 1
+    return {source: mean * others / (total - mean) for source, mean in means.items()}
 
 
 def _least_apart(extremes: dict[tuple[str, str], list[Extreme]]) -> dict[str, tuple[Decimal, Decimal]]:
@@ -147,8 +166,9 @@ def _rule(
     measure = what.removesuffix(".messages").rpartition(".")[2]
     from_zero = measure in ("rate", "gap", "spread")
     share = margin * (max(high for _, high, _ in covered) - (0 if from_zero else min(low for low, _, _ in covered)))
-    top, highest = _limit([(high, name) for _, high, name in found], share, margin, 1, apart[1])
-    bottom, lowest = _limit([(low, name) for low, _, name in found], share, margin, -1, apart[0])
+    room = ROOM_OF_RATIO if measure == "ratio" else Decimal(1)
+    top, highest = _limit([(high, name) for _, high, name in found], share, margin, 1, apart[1], room)
+    bottom, lowest = _limit([(low, name) for low, _, name in found], share, margin, -1, apart[0], room)
     if measure in ("gap", "spread"):
         return Rule(source, f"{what}={top}", highest)
     return Rule(source, f"{what}={bottom}..{top}", f"{lowest}, {highest}")
@@ -160,17 +180,22 @@ def _apart(values: Sequence[Decimal], sign: int) -> Decimal:
 
 
 def _limit(
-    ends: list[tuple[Decimal, str]], share: Decimal, margin: Decimal, sign: int, apart: Decimal = Decimal(0)
+    ends: list[tuple[Decimal, str]],
+    share: Decimal,
+    margin: Decimal,
+    sign: int,
+    apart: Decimal = Decimal(0),
+    room: Decimal = Decimal(1),
 ) -> tuple[str, str]:
     """Return the limit above (sign 1) or below (-1) what was seen, and the extreme that it comes from.
 
     It lies beyond the extreme by the margin, and by twice as much as flights are apart, at least `apart`: where flights
     differ, the next one differs, too. An extreme of 0 is most likely a bound, such as that of a motor that stands:
-    beyond it is room for noise only.
+    beyond it is room for noise only. room: the share of all that which it has.
     """
     extreme, name = max(ends, key=lambda end: sign * end[0])
     apart = max(apart, _apart([value for value, _ in ends], sign))
-    beyond = max(share, margin * LEAST_RANGE * abs(extreme)) + 2 * apart
+    beyond = (max(share, margin * LEAST_RANGE * abs(extreme)) + 2 * apart) * room
     beyond = beyond if extreme else share * NOISE
     limit = extreme
     if beyond:
@@ -214,6 +239,50 @@ def _constants(extremes: dict[tuple[str, str], list[Extreme]], fields: Record) -
         for source, message in dict.fromkeys((source, what.partition(".")[0]) for source, what in extremes)
         for column in fields["messages"][message]["columns"]
         for number, text in (column.get("values") or {}).items()
+    ]
+
+
+def _flags(fields: Record) -> dict[str, tuple[str, str]]:
+    """Return for each flag the rule that all others may be set: {rule: ("motor.motor_state", flag)}."""
+    found: dict[str, list[str]] = {}
+    for message, entry in fields["messages"].items():
+        for column in entry["columns"]:
+            path = (column.get("filter") or "").removeprefix(f"taurus.{message}.").split(".")
+            if column.get("kind") == "flags":
+                flags = found.setdefault(f"{message}.{column['name']}", [])
+            elif column["type"] == "bool" and len(path) > 1:
+                flags.append(path[-1])
+    return {
+        f"{what}.only={'+'.join(each for each in flags if each != flag)}": (what, flag)
+        for what, flags in found.items()
+        for flag in flags
+    }
+
+
+def _only(
+    extremes: dict[tuple[str, str], list[Extreme]],
+    flags: dict[str, tuple[str, str]],
+    flights: dict[str, list[Record]],
+) -> list[Rule]:
+    """Return for each field of flags the rule that no others are set than in the good flights."""
+    apart = {(source, what.partition(".")[0]) for source, what in extremes}
+    found = defaultdict[tuple[str, str], set[str]](set)
+    for verdict in (verdict for verdicts in flights.values() for verdict in verdicts if verdict["rule"] in flags):
+        what, flag = flags[verdict["rule"]]
+        source = verdict["source"] or ""
+        if verdict["seen"] is not None:
+            own = found[source if (source, what.partition(".")[0]) in apart else "", what]
+            own |= {flag} if verdict["seen"] else set()
+    names: dict[str, list[str]] = defaultdict(list)
+    for what, flag in flags.values():
+        names[what].append(flag)
+    return [
+        Rule(
+            source,
+            f"{what}.only={'+'.join(flag for flag in names[what] if flag in own)}",
+            "" if own else "none was set",
+        )
+        for (source, what), own in found.items()
     ]
 
 
