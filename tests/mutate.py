@@ -103,7 +103,7 @@ def loaded_by(test):
             f"dofile('{test}') for name in pairs(package.loaded) do print(name) end")
     names = lua("-e", code).stdout.split()
     names += re.findall(r'require\(?"(yapp[\w.]+)"', (ROOT / test).read_text())  # also what a test loads as it runs
-    names += re.findall(r'dofile\("(yapp[\w/]*)\.lua"', (ROOT / test).read_text())
+    names += re.findall(r'"(yapp[\w/]*)\.lua"', (ROOT / test).read_text())
     return {pathlib.Path(name.replace(".", "/") + ".lua") for name in names}
 
 

@@ -191,6 +191,13 @@ function T.test_types_of_filters()
     ["x.active_names"] = "STRING", k = "UINT8 HEX", low = "UINT8  15", ["z.undefined"] = "UINT32 HEX" })
 end
 
+function T.test_digits_for_columns()
+  for unit, shape in pairs { RPM = "%.0f", V = "%.2f", A = "%.2f", W = "%.0f", ["°C"] = "%.0f", ["%"] = "%.0f" } do
+    local compiled = catalogue.compile { message(nil, { "f", "uint8", "F", scale = 0.5, unit = unit }) }
+    lu.assertEquals(compiled.messages[1].rounded[1].shape, shape, unit)
+  end
+end
+
 -- Of values with a unit whose digits are known; not of arrays, and not of integers.
 function T.test_values_for_columns()
   local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 11,

@@ -155,6 +155,7 @@ function T.test_a_preference_in_its_file()
     ["yapp.messages: /a b/c.lua\n"] = "/a b/c.lua", ["x: 1\r\nyapp.messages: C:\\d.lua\r\ny: 2\r\n"] = "C:\\d.lua",
     ["# yapp.messages: no\n"] = "none", ["yapp.messages:\nx: 1\n"] = "none", ["yapp.messages: \n"] = "none",
     [""] = "none", ["a.yapp.messages: no\n"] = "none", ["yapp.messages_too: no\n"] = "none",
+    ["yapp_messages: no\n"] = "none",
     ["yapp.messages: last"] = "last",
   } do
     lu.assertEquals(files.read_preference(write(text), "yapp.messages") or "none", value, text)

@@ -6,6 +6,7 @@ local crc = require("yapp.wire.crc")
 local dump = require("yapp.file.dump")
 local framer = require("yapp.serial.framer")
 local levels = require("levels")
+local stream_generator = require("stream_generator")
 
 -- What the API's file objects do.
 local function file_of(text)
@@ -109,6 +110,49 @@ function T.test_several_clocks()
     list[i] = record.seconds + record.nanoseconds / 1000000000
   end
   lu.assertEquals(list, { 100, 100, 102.9, 103, 103, 103.8, 103.8, 103.8, 103.8, 104.1, 104.1, 104.9, 106 })
+end
+
+-- The rules of a dump's time once more, in half seconds.
+local function new_model()
+  local clocks_of, shift, time = {}, 0, nil
+  return function(id, stamp)
+    time = time or stamp
+    clocks_of[id] = clocks_of[id] or {}
+    local clocks, best = clocks_of[id], nil
+    for _, clock in ipairs(clocks) do -- the one that goes on with the stamp, and advances least
+      if clock.last <= stamp and (not best or clock.last > best.last) then best = clock end
+    end
+    if not best then
+      local step = stamp + shift - time
+      best = { shift = 0 <= step and step < 2 and shift or time - stamp }
+      clocks[#clocks + 1] = best
+      if #clocks > 4 then table.remove(clocks, 1) end
+    end
+    best.last, shift = stamp, best.shift
+    time = math.max(time, stamp + shift)
+    return time
+  end
+end
+
+function T.test_random_clocks()
+  local random = stream_generator.random(1)
+  for _ = 1, levels.size(50, 500) do
+    local parts, expected, found, model = {}, {}, {}, new_model()
+    for i = 1, 60 do
+      local id, stamp = random(3), random(24)
+      parts[i], expected[i] = frame(id, string.char(stamp)), model(id, stamp)
+    end
+    local file = file_of(table.concat(parts))
+    local log = dump.open(file, { new_framer = new_framer, time_of = function(bytes)
+      return math.floor(bytes:byte(13) / 2), bytes:byte(13) % 2 * 500000000
+    end })
+    for i = 1, #parts do
+      local record = record_of(log:read(file))
+      lu.assertEvalToTrue(record.nanoseconds == 0 or record.nanoseconds == 500000000)
+      found[i] = record.seconds * 2 + record.nanoseconds / 500000000
+    end
+    lu.assertEquals(found, expected)
+  end
 end
 
 function T.test_without_a_time_stamp()

@@ -4,6 +4,8 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local frame = require("yapp.wire.frame")
 
+local unpack = table.unpack or unpack -- luacheck: ignore
+
 local MOTOR = "YP\0\0\16\2\0\0\32\0\0\0"
 
 local T = {}
@@ -34,6 +36,25 @@ function T.test_is_plausible()
     lu.assertEquals(frame.is_plausible("x" .. header, 2), expected, header)
   end
   for length = 2, 11 do lu.assertFalse(frame.is_plausible(MOTOR:sub(1, length), 1)) end
+end
+
+-- The bytes that came may become a plausible header if one follows them that has zeros there.
+function T.test_the_begin_of_a_header()
+  for index = 3, 12 do
+    for other = index, 12 do
+      for _, value in ipairs { 0, 1, 7, 8, 255 } do
+        local bytes = { MOTOR:byte(1, 12) }
+        bytes[index], bytes[other] = value, value
+        local header = string.char(unpack(bytes))
+        for length = 2, 12 do
+          local begin, zeros = header:sub(1, length), ("\0"):rep(12 - length)
+          local name = ("bytes %d and %d are %d, length %d"):format(index, other, value, length)
+          lu.assertEquals(frame.may_be_plausible("x" .. begin, 2), frame.is_plausible(begin .. zeros, 1), name)
+        end
+        lu.assertEquals(frame.has_id("x" .. header, 2), frame.may_be_plausible(header:sub(1, 8), 1))
+      end
+    end
+  end
 end
 
 return T

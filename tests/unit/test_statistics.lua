@@ -591,6 +591,12 @@ function T.test_what_cannot_be_judged()
     lu.assertEquals(code_of(name .. "=0", { good[1], unsure }), 21, name)
   end
   lu.assertEquals(code_of("crc=0", { good[1], unsure }), 0)
+  local undecoded = { record(1, 0, { fits = false }), record(2, 1, { fits = false }) }
+  for name, verdict in pairs { fault = "null", reboot = "null", stale = "null", jump = "null", shared = "null",
+    invalid = "null", missing = "true", silence = "true", crc = "true", incomplete = "true" } do
+    local found = verdicts(name .. "=0", undecoded)[1]
+    lu.assertStrContains(found, ("%s=0 left %s "):format(name, verdict))
+  end
   lu.assertEquals(verdicts("clock=0", {})[1], "clock=0 null null 0 null") -- nothing came
   lu.assertEquals(code_of("fault=0", { record(1, 0, { change = raised(1, 1) }), unsure }), 20)
   lu.assertEquals(code_of("motor.count=9,nonsense=1", good), 20) -- both
@@ -1481,6 +1487,11 @@ function T.test_packets_that_were_dropped()
     '{"kind":"dropped","time":1700000000.250000005,"frame":3,"bus":"can0","id":null,"source":null,"message":null,"count":37}',
     '{"kind":"dropped","time":null,"frame":null,"bus":null,"id":null,"source":null,"message":null,"count":5}' })
   lu.assertStrContains(run({ "events" }, { record(1, 0) }, { drops = drops }), "packets lost while capturing: 37")
+  local order = {} -- by time; those without one come last
+  for i, line in ipairs(lines((run({ "events,json" }, { record(1, 0), bad(4, 0.5) }, { drops = drops })))) do
+    order[i] = line:match('"kind":"(%w+)"')
+  end
+  lu.assertEquals(order, { "silence", "dropped", "crc", "dropped" })
   lu.assertEquals(verdicts("dropped=41,dropped=42", { record(1, 0) }, { drops = drops }), { "dropped=41 null false 42 3",
     "dropped=42 null true 42 3", "unknown=0 null true 0 null" })
   lu.assertEquals(lines((run({ "faults,json" }, { record(1, 0) }, { drops = drops }))), {})

@@ -207,7 +207,6 @@ local function check_head(entry)
     "every %s is not a period in seconds", shown(every))
   demand(not answers or input.is_name(answers), "answers %s is not the name of a message",
     shown(answers))
-  demand(#entry > 0, "it has no fields")
 end
 
 -- context  the subject of errors: context.field is set to the name of the current field, or nil
