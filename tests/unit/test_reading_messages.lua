@@ -38,8 +38,8 @@ end
 
 -- Read a message of a payload of zeros with some bytes changed.
 -- bytes   { [offset] = value }
--- with    of the transfer: status, size; of the frame: id, key, visited, is_bus_known, wants_state; answer = of the
---         history; messages = a reading.messages
+-- with    of the transfer: status, size; of the frame: id, line, key, visited, is_bus_known, wants_state; answer = of
+--         the history; messages = a reading.messages
 -- returns the message, what the history was asked, and whether the message is usual
 local function read(of_type, bytes, with)
   with = with or {}
@@ -49,7 +49,7 @@ local function read(of_type, bytes, with)
   end
   local messages = with.messages or messages_of.new(types, history_of(with.answer or { delta = 1 }, asked),
     copies_of(with.copy_of))
-  local frame = { source = types:new_source(with.id or of_type.id, false), seq = 0,
+  local frame = { source = types:new_source(with.id or of_type.id, false, nil, with.line), seq = 0,
     key = with.key or 7 * frame_key.PACKET, time = 1, visited = with.visited or false,
     is_bus_known = with.is_bus_known ~= false, is_only_pass = false, wants_state = with.wants_state or false }
   local transfer = { status = with.status or "good", size = with.size or of_type.size, payload = payload }
@@ -129,6 +129,13 @@ function T.test_what_the_history_is_asked()
   lu.assertEquals({ m.change, m.delta, m.state, m.is_unreliable, asked }, { false, false, false, true, "" })
   m = read(HEALTH, {}, { answer = { delta = 1, state = { drift = 1, command_in = 5 } }, wants_state = true })
   lu.assertEquals(m.state, { drift = 1, command_in = 5 })
+end
+
+-- In a stream, the ID of a damaged frame may be damaged, too.
+function T.test_the_time_since_the_message_before()
+  for _, row in ipairs { { "good", nil, 1 }, { "bad", nil, 1 }, { "good", {}, 1 }, { "bad", {}, false } } do
+    lu.assertEquals(read(HEALTH, {}, { status = row[1], line = row[2] }).delta, row[3])
+  end
 end
 
 -- A copy changes no history.
