@@ -73,15 +73,27 @@ def test_a_full_disk_of_the_data_set_advises_no_other_folder_for_temporary_files
         yt.convert_one(capture, yt.Config(str(tmp_path / "data"), tshark=yt.Tshark(program=str(FAKE))), made=None)
 
 
-def test_a_full_disk_of_a_delta_table_is_said_at_once(make_capture, tmp_path, monkeypatch):
+@pytest.mark.parametrize("kind", [DeltaError, OSError])
+def test_a_full_disk_of_a_delta_table_is_said_at_once(make_capture, tmp_path, monkeypatch, kind):
+    """deltalake 1.6 raises both, the OSError without a number."""
     tries = []
 
     def write(*_arguments, **_options):
         tries.append(1)
-        raise DeltaError(f"Generic LocalFileSystem error: {os.strerror(errno.ENOSPC)} (os error 28)")
+        raise kind(f"Generic LocalFileSystem error\n \x1b[31m↳\x1b[0m {os.strerror(errno.ENOSPC)} (os error 28)")
 
     monkeypatch.setattr("yapp_tables.delta.write_deltalake", write)
     config = yt.Config(str(tmp_path / "data"), "delta", yt.Tshark(program=str(FAKE)))
     with pytest.raises(yt.SetupError, match=r"the disk is full: .+data.yapp-tables; free some space there$"):
         yt.convert_one(make_capture("flight.pcapng", motor=[motor_row(0)]), config)
     assert len(tries) == 1
+
+
+def test_an_error_of_deltalake_is_one_line(make_capture, tmp_path, monkeypatch):
+    def write(*_arguments, **_options):
+        raise OSError("Generic S3 error\n          \x1b[31m↳\x1b[0m client error (Connect)\n")
+
+    monkeypatch.setattr("yapp_tables.delta.write_deltalake", write)
+    config = yt.Config(str(tmp_path / "data"), "delta", yt.Tshark(program=str(FAKE)))
+    result = yt.convert_one(make_capture("flight.pcapng", motor=[motor_row(0)]), config)
+    assert result.failure == "Delta Lake: Generic S3 error client error (Connect)"

@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import os
 import random
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
@@ -20,6 +21,8 @@ from .writers import Target
 
 # Several writers of one table: a transaction that another one overtook is tried again.
 TRIES = 50
+# deltalake's errors are trees of several lines in colours.
+COLOURS = re.compile(r"\x1b\[\d*m|↳")
 # Delta knows no unsigned integers, no durations (they are integers of nanoseconds), and times of microseconds only:
 # time_ns has the nanoseconds.
 TYPES = {
@@ -99,11 +102,12 @@ def _again(work: Callable[[], object]) -> None:
             return
         except TableNotFoundError:
             return
-        except DeltaError as error:
-            if os.strerror(errno.ENOSPC) in str(error):
-                raise OSError(errno.ENOSPC, str(error)) from error
-            if number == TRIES - 1:
-                raise YappError(f"Delta Lake: {error}") from error
+        except (DeltaError, OSError) as error:  # an OSError of deltalake's has no number
+            text = " ".join(COLOURS.sub("", str(error)).split())
+            if os.strerror(errno.ENOSPC) in text:
+                raise OSError(errno.ENOSPC, text) from error
+            if number == TRIES - 1 or isinstance(error, OSError):
+                raise YappError(f"Delta Lake: {text}") from error
             time.sleep(random.uniform(0, 0.2))
 
 
