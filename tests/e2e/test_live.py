@@ -106,12 +106,15 @@ def blocks(data):
 
 
 def options_of(body, at):
-    while at + 4 <= len(body):
+    """The options of a block: (code, value); they end with one of code 0, unless there are none."""
+    while at < len(body):
         code, size = struct.unpack_from("=HH", body, at)
         if code == 0:
+            assert (size, at + 4) == (0, len(body))
             return
         yield code, body[at + 4:at + 4 + size]
         at += 4 + (size + 3) // 4 * 4
+        assert at < len(body), "options without an end"
 
 
 class Pcapng:
@@ -597,6 +600,29 @@ def test_port_of_somebody_else(folder, port, group, mode, advice):
 @pytest.mark.parametrize("value", ["0", "49", "99999999999", "1" * 30, "-1", ""])
 def test_a_rate_that_is_none(folder, port, value):
     assert "baud rate: a number from 50 to 20000000, not '" in refused(folder, "--port", port.name, f"--baud={value}")
+
+
+LIMITS = {"--baud": (50, 20_000_000), "--bitrate": (1, 100_000_000), "--data-bitrate": (1, 100_000_000)}
+JUDGE = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import yapp_extcap
+for interface in yapp_extcap.INTERFACES.values():
+    for argument in interface.arguments():
+        for value in sys.argv[2:] if "range" in argument else ():
+            try:
+                yapp_extcap.read_settings(interface, yapp_extcap.parse([f"{argument['call']}={value}"]))
+                print(argument["call"], value, True)
+            except yapp_extcap.Problem:
+                print(argument["call"], value, False)
+"""
+
+
+def test_the_least_and_the_most_of_a_rate_are_taken():
+    values = sorted({value + step for limits in LIMITS.values() for value in limits for step in (-1, 0, 1)})
+    done = subprocess.run([PYTHON, "-c", JUDGE, EXTCAP.parent, *map(str, values)], capture_output=True, text=True, check=True)
+    expected = [f"{call} {value} {low <= value <= high}" for call, (low, high) in LIMITS.items() for value in values]
+    assert done.stdout.splitlines() == expected
 
 
 def unread(*arguments):
