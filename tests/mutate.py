@@ -163,6 +163,8 @@ def mutants(path, text):
             continue  # a byte more, which no variable takes
         if word in "<>" and LEAST.match(line):
             continue  # of two equals either is the least
+        if word == "+" and text.startswith("0.0", token.end() + 1):
+            continue  # nothing is added to make a float: taking it away makes one, too
         if word in OTHERS:
             yield (*token.span(), OTHERS[word])
         elif word[0].isdigit():

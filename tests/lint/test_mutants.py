@@ -18,6 +18,11 @@ def lines_of_mutants(module):
         yield mutate.line_at(text, start), mutate.line_at(text[:start] + new + text[end:], start) or "(left out)"
 
 
+def mutated(line):
+    """The mutants of a module with this line alone."""
+    return {line[:start] + new + line[end:] for start, end, new in mutate.mutants(pathlib.Path("one.lua"), line)}
+
+
 def test_each_row_is_a_mutant_of_its_module():
     rows = [line.split("\t") for line in (TOP / "tests/equivalent_mutants.txt").read_text().splitlines()[1:]]
     made = {module: set(lines_of_mutants(module)) for module in {row[0] for row in rows}}
@@ -30,8 +35,11 @@ def test_each_row_is_a_mutant_of_its_module():
     ("if not most or a.b > most then found = a.b end", True),
 ])
 def test_of_two_equals_either_is_the_least(line, is_made):
-    changed = {line[:start] + new + line[end:] for start, end, new in mutate.mutants(pathlib.Path("one.lua"), line)}
-    assert (line.replace(">", ">=") in changed) is is_made
+    assert (line.replace(">", ">=") in mutated(line)) is is_made
+
+
+def test_nothing_is_added_to_make_a_float():
+    assert "a = b - 0.0" not in mutated("a = b + 0.0") and "a = b - 0.5" in mutated("a = b + 0.5")
 
 
 @pytest.mark.parametrize("name", ["test_a.py::test_b", "test_a.py::test_b[2^N - 6 (mapping)]", "test_a.py::TestC::test_b[one pass]"])
