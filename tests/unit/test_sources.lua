@@ -9,8 +9,13 @@ local T = {}
 
 -- The name of the message that a source was said to carry.
 local function message_name(s, bus, id)
-  local message = s:type_of(bus, id)
+  local message = s:find(bus, id)
   return message and message.name
+end
+
+-- The name that the user gave a source.
+local function name_of(s, ...)
+  return select(2, s:find(...))
 end
 
 local CATALOGUE = catalogue.compile(dofile("taurus_fields.lua"))
@@ -25,7 +30,7 @@ function T.test_nothing()
   for _, text in ipairs { "", "  ", ",", " , ," } do
     local s, problems = parse(text)
     lu.assertEquals({ problems, s:list() }, { {}, {} })
-    lu.assertNil(s:name("can0", 0x210))
+    lu.assertNil(name_of(s, "can0", 0x210))
     lu.assertNil(message_name(s, nil, 0x210))
   end
 end
@@ -35,9 +40,9 @@ function T.test_the_example()
     "0x212=left_tail")
   lu.assertEquals(problems,
     { 'yapp.sources: a bus and ID once more in "528 = x"; the first part that names them holds' })
-  lu.assertEquals({ s:name("can0", 0x210), s:name(nil, 0x210), s:name("can1", 0x210) },
+  lu.assertEquals({ name_of(s, "can0", 0x210), name_of(s, nil, 0x210), name_of(s, "can1", 0x210) },
     { "left_fore", "left_fore", "right_fore" })
-  lu.assertEquals({ s:name("can1", 0x211), s:name("can1", 0x212) }, { "left_aft", "left_tail" })
+  lu.assertEquals({ name_of(s, "can1", 0x211), name_of(s, "can1", 0x212) }, { "left_aft", "left_tail" })
   lu.assertEquals({ message_name(s, "can1", 0x210), message_name(s, "can9", 0x211) }, { "motor", "motor" })
   lu.assertNil(message_name(s, nil, 0x212))
   lu.assertEquals(#s:list(), 4)
@@ -46,15 +51,15 @@ end
 function T.test_a_message_without_a_name_and_names_with_signs()
   local s, problems = parse("0x300= motor :, 0x301=health:left:aft=2, 0x302=ÄÖ rotor 3")
   lu.assertEquals(problems, {})
-  lu.assertNil(s:name(nil, 0x300))
-  lu.assertEquals({ message_name(s, nil, 0x300), s:name(nil, 0x301), s:name(nil, 0x302) },
+  lu.assertNil(name_of(s, nil, 0x300))
+  lu.assertEquals({ message_name(s, nil, 0x300), name_of(s, nil, 0x301), name_of(s, nil, 0x302) },
     { "motor", "left:aft=2", "ÄÖ rotor 3" })
 end
 
 function T.test_the_highest_id_and_the_longest_name()
   local longest = ("n"):rep(64)
   local s, problems = parse("0x7FF=" .. longest)
-  lu.assertEquals({ problems, s:name(nil, 2047) }, { {}, longest })
+  lu.assertEquals({ problems, name_of(s, nil, 2047) }, { {}, longest })
 end
 
 function T.test_a_name_of_nothing()
@@ -69,28 +74,29 @@ function T.test_another_sign_between_sources()
   local s, problems = parse("0x210=motor:left;can1/0x210=right, 0x211=a;b")
   lu.assertEquals(problems, {
     'yapp.sources: a semicolon in "0x210=motor:left;can1/0x210=right"; separate sources by commas' })
-  lu.assertEquals(s:name(nil, 0x211), "a;b")
+  lu.assertEquals(name_of(s, nil, 0x211), "a;b")
 end
 
 -- As the capture names buses that have no name, or one with others.
 function T.test_buses_with_made_up_names()
   local s, problems = parse([[if1/0x210=a, any#3 / 0x210 = b, can0#1=c, a\xE2\x80\x8Bb/0x210=d]])
   lu.assertEquals(problems, {})
-  lu.assertEquals({ s:name("if1", 0x210), s:name("any#3", 0x210), s:name("can0#1", 1),
-    s:name([[a\xE2\x80\x8Bb]], 0x210) }, { "a", "b", "c", "d" })
+  lu.assertEquals({ name_of(s, "if1", 0x210), name_of(s, "any#3", 0x210), name_of(s, "can0#1", 1),
+    name_of(s, [[a\xE2\x80\x8Bb]], 0x210) }, { "a", "b", "c", "d" })
 end
 
 function T.test_buses_with_odd_names()
   local s, problems = parse([["USB, ""left"" = 1"/0x210=motor:a, vcan/0/0x210=b, \Device\NPF_{1-2}/0x210=c, "x" / 1=d]])
   lu.assertEquals(problems, {})
-  lu.assertEquals({ s:name([[USB, "left" = 1]], 0x210), s:name("vcan/0", 0x210), s:name([[\Device\NPF_{1-2}]], 0x210),
-    s:name("x", 1) }, { "a", "b", "c", "d" })
+  lu.assertEquals({ name_of(s, [[USB, "left" = 1]], 0x210), name_of(s, "vcan/0", 0x210),
+    name_of(s, [[\Device\NPF_{1-2}]], 0x210),
+    name_of(s, "x", 1) }, { "a", "b", "c", "d" })
 end
 
 -- Signs between quotes belong to the bus or the name, and problems show them as they are.
 function T.test_signs_between_quotes()
   local s, problems = parse([["a/b=c,d"/0x210=motor:"x,y=/z", "a/b"x/0x211="p,q=/r", "e"=f]])
-  lu.assertEquals({ s:name("a/b=c,d", 0x210), s:name("e", 1) }, { '"x,y=/z"', "f" })
+  lu.assertEquals({ name_of(s, "a/b=c,d", 0x210), name_of(s, "e", 1) }, { '"x,y=/z"', "f" })
   lu.assertEquals(problems, { [[yapp.sources: no "/" or "=" behind the quotes in ""a/b"x/0x211="p,q=/r""; ]] ..
     "write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME" })
 end
@@ -98,7 +104,7 @@ end
 function T.test_what_is_wrong_is_said_part_by_part_and_the_rest_holds()
   local s, problems = parse('0x210, 0x800=a, left/x=b, 0x210=moter:c, 0x211=, "x"0x1=d, 0x212=' .. ("n"):rep(65) ..
     ', 0x213=\1, 0x214=\255, -1=q, 1.5=r, 0x215=good, "open/1=e')
-  lu.assertEquals(s:name(nil, 0x215), "good")
+  lu.assertEquals(name_of(s, nil, 0x215), "good")
   lu.assertEquals(#s:list(), 1)
   lu.assertEquals(problems, {
     'yapp.sources: no "=" in "0x210"; write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME',
@@ -123,10 +129,11 @@ end
 function T.test_several_ids_have_one_name()
   local s, problems = parse("can0/0x210+0x200 + 0=left, 0x210+0x211=motor:right")
   lu.assertEquals(problems, {})
-  lu.assertEquals({ s:name("can0", 0x210), s:name("can0", 0x200), s:name("can0", 0), s:name("can1", 0x211) },
+  lu.assertEquals({ name_of(s, "can0", 0x210), name_of(s, "can0", 0x200), name_of(s, "can0", 0),
+    name_of(s, "can1", 0x211) },
     { "left", "left", "left", "right" })
   lu.assertEquals({ message_name(s, "can1", 0x210), message_name(s, nil, 0x211) }, { "motor", "motor" })
-  lu.assertNil(s:name("can1", 0x200))
+  lu.assertNil(name_of(s, "can1", 0x200))
   local rows = {}
   for i, row in ipairs(s:list()) do rows[i] = ("%s %X %s"):format(row.bus or "-", row.id, row.name) end
   lu.assertEquals(rows, { "can0 210 left", "can0 200 left", "can0 0 left", "- 210 right", "- 211 right" })
@@ -136,11 +143,11 @@ function T.test_ranges_have_a_name_for_each_id()
   local s, problems = parse("can0/0x210-0x213=motor:M1..M4, 0x200 - 0x203+ 0x000-0x003=M08..M11, " ..
     "0x300-0x302=tail, 5-5=x1..x1")
   lu.assertEquals(problems, {})
-  lu.assertEquals({ s:name("can0", 0x210), s:name("can0", 0x213), message_name(s, "can0", 0x212) },
+  lu.assertEquals({ name_of(s, "can0", 0x210), name_of(s, "can0", 0x213), message_name(s, "can0", 0x212) },
     { "M1", "M4", "motor" })
-  lu.assertEquals({ s:name(nil, 0x200), s:name(nil, 0x203), s:name(nil, 0), s:name(nil, 3) },
+  lu.assertEquals({ name_of(s, nil, 0x200), name_of(s, nil, 0x203), name_of(s, nil, 0), name_of(s, nil, 3) },
     { "M08", "M11", "M08", "M11" })
-  lu.assertEquals({ s:name(nil, 0x300), s:name(nil, 0x302), s:name(nil, 5) }, { "tail", "tail", "x1" })
+  lu.assertEquals({ name_of(s, nil, 0x300), name_of(s, nil, 0x302), name_of(s, nil, 5) }, { "tail", "tail", "x1" })
   lu.assertEquals(#s:list(), 4 + 8 + 3 + 1)
 end
 
@@ -160,7 +167,8 @@ function T.test_ranges_that_do_not_fit()
   })
   lu.assertEquals(s:list(), {})
   s, problems = parse("0x1=M1..N2, 0x2=..3, 0x3=a..b") -- names as they are
-  lu.assertEquals({ problems, s:name(nil, 1), s:name(nil, 2), s:name(nil, 3) }, { {}, "M1..N2", "..3", "a..b" })
+  lu.assertEquals({ problems, name_of(s, nil, 1), name_of(s, nil, 2), name_of(s, nil, 3) },
+    { {}, "M1..N2", "..3", "a..b" })
 end
 
 -- A part that nothing can match is an error.
@@ -182,11 +190,11 @@ end
 function T.test_a_bus_alone_names_every_id()
   local s, problems = parse('can0=left, "2"=right, "a, b" = c, can0/0x200=other, 0x210=motor:x, 0x300=health:')
   lu.assertEquals(problems, {})
-  lu.assertEquals({ s:name("can0", 0x7FF), s:name("2", 1), s:name("a, b", 1), s:name("can0", 0x200),
-    s:name("can0", 0x210), s:name("can1", 0x210) }, { "left", "right", "c", "other", "left", "x" })
+  lu.assertEquals({ name_of(s, "can0", 0x7FF), name_of(s, "2", 1), name_of(s, "a, b", 1), name_of(s, "can0", 0x200),
+    name_of(s, "can0", 0x210), name_of(s, "can1", 0x210) }, { "left", "right", "c", "other", "left", "x" })
   lu.assertEquals({ message_name(s, "can0", 0x210), message_name(s, "can0", 0x300) }, { "motor", "health" })
-  lu.assertNil(s:name("can1", 0x7FF))
-  lu.assertNil(s:name(nil, 0x7FF))
+  lu.assertNil(name_of(s, "can1", 0x7FF))
+  lu.assertNil(name_of(s, nil, 0x7FF))
   local row = s:list()[1]
   lu.assertEquals({ row.bus, row.id or "none", row.name }, { "can0", "none", "left" })
 end
@@ -194,7 +202,7 @@ end
 function T.test_an_address_reads_back()
   for _, bus in ipairs { "can0", "2", "a,b", "a=b", 'the "left"', "left bus", "vcan/0", '"' } do
     local s, problems = parse(sources.address_text(bus, 0x210) .. "=motor:x")
-    lu.assertEquals({ problems, s:name(bus, 0x210), s:name("other", 0x210) or "-" }, { {}, "x", "-" })
+    lu.assertEquals({ problems, name_of(s, bus, 0x210), name_of(s, "other", 0x210) or "-" }, { {}, "x", "-" })
   end
   lu.assertEquals({ sources.address_text(nil, 0x7FF), sources.address_text('a,"b"', 1) }, { "0x7ff", '"a,""b"""/0x1' })
 end
@@ -208,8 +216,8 @@ function T.test_several_ids_of_which_one_is_known_or_wrong()
     'yapp.sources: a message for a whole bus in "can0=motor:e"; name its ID, too',
     'yapp.sources: a bus and ID once more in "can1=g"; the first part that names them holds',
   })
-  lu.assertEquals({ s:name(nil, 0x210), s:name(nil, 0x211), s:name("can1", 5) }, { "a", "b", "f" })
-  lu.assertNil(s:name(nil, 0x212))
+  lu.assertEquals({ name_of(s, nil, 0x210), name_of(s, nil, 0x211), name_of(s, "can1", 5) }, { "a", "b", "f" })
+  lu.assertNil(name_of(s, nil, 0x212))
 end
 
 -- Senders, and lines with two directions.
@@ -228,11 +236,11 @@ function T.test_names_that_a_bus_has_with_others()
     { "usb1.7.1#rx", "endpoint" }, { "usb1.7.2#tx", "any", "health" }, { "usb1.60.1#rx", "any", "health" },
     { "[fe80::a]:1", "large" }, { "[fe80::b]:1", "letters" },
   } do
-    local message = found:type_of(row[1], 0x210, "eth0")
-    lu.assertEquals({ found:name(row[1], 0x210, "eth0"), message and message.name }, { row[2], row[3] }, row[1])
+    local message = found:find(row[1], 0x210, "eth0")
+    lu.assertEquals({ name_of(found, row[1], 0x210, "eth0"), message and message.name }, { row[2], row[3] }, row[1])
   end
-  lu.assertEquals(found:name("192.168.1.13:40000", 0x300, "eth0"), "by_interface")
-  lu.assertNil(found:name("192.168.1.13:40000", 0x300, nil))
+  lu.assertEquals(name_of(found, "192.168.1.13:40000", 0x300, "eth0"), "by_interface")
+  lu.assertNil(name_of(found, "192.168.1.13:40000", 0x300, nil))
 end
 
 -- The address that the menu of a packet writes names just this bus and ID.
@@ -241,10 +249,10 @@ function T.test_the_address_of_each_kind_of_bus()
     "ttyS0#rx", "usb1.6.1#tx", "8", 'a "b"' } do
     local read, problems = sources.parse(sources.address_text(bus, 0x210) .. "=left", { by_name = {} })
     lu.assertEquals(problems, {}, bus)
-    lu.assertEquals(read:name(bus, 0x210), "left", bus)
+    lu.assertEquals(name_of(read, bus, 0x210), "left", bus)
     lu.assertTrue(read:has_part(bus, 0x210), bus)
     lu.assertFalse(read:has_part(bus, 0x211), bus)
-    lu.assertNil(read:name("other", 0x210), bus)
+    lu.assertNil(name_of(read, "other", 0x210), bus)
   end
 end
 

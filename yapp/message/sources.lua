@@ -214,34 +214,21 @@ local function rows_of(self, bus, interface)
   return list
 end
 
---- Return the name of a source, nil where the user gave none: that of its ID on its bus, of its
--- bus, or of its ID anywhere.
+--- Return what the user said of a source: the message type that it carries, and its name; nil for
+-- each that no part gives.  The name is that of its ID on its bus, of its bus, or of its ID
+-- anywhere.
 -- bus        the name that the capture gives it, or nil
 -- id         message ID
 -- interface  of a sender in UDP or TCP: the name of the interface, or nil
-function Sources:name(bus, id, interface)
-  local has_own = false
+function Sources:find(bus, id, interface)
+  local own, name = nil, nil
   for _, of_bus in ipairs(rows_of(self, bus, interface)) do
-    local own, of_every_id = of_bus[id], of_bus.every
-    if own and own.name then return own.name end
-    if of_every_id then return of_every_id.name end
-    has_own = has_own or own ~= nil
+    local row, every = of_bus[id], of_bus.every
+    own, name = own or row, name or row and row.name or every and every.name
   end
-  local anywhere = not has_own and self.by_bus[false][id]
-  return anywhere and anywhere.name or nil
-end
-
---- Return the message type that the user said an ID carries on a bus; nil where the preference
--- says nothing of it.
--- bus, id, interface  as of Sources:name
-function Sources:type_of(bus, id, interface)
-  if bus then
-    for _, of_bus in ipairs(rows_of(self, bus, interface)) do
-      if of_bus[id] then return of_bus[id].type end
-    end
-  end
-  local row = self.by_bus[false][id]
-  return row and row.type
+  own = own or self.by_bus[false][id]
+  if own then return own.type, name or own.name end
+  return nil, name
 end
 
 --- Return whether a part is about an ID on a bus, or on a bus with a name that includes that one.

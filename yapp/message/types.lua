@@ -54,7 +54,7 @@ end
 -- bus        name, nil where the capture has none
 -- interface  of a sender in UDP or TCP, or nil
 function Types:type_of(id, bus, interface)
-  return self.sources and self.sources:type_of(bus, id, interface) or self.by_id[id]
+  return self.sources and (self.sources:find(bus, id, interface)) or self.by_id[id]
 end
 
 --- Return the payload size of that type and the smallest that it may have, nil for none.
@@ -108,8 +108,8 @@ end
 --   texts     of the fragments of its messages, see show.frame }
 function Types:new_source(id, bus_key, bus, line, is_shared)
   local interface = line and line.interface or nil
-  local of_type = self:type_of(id, bus, interface)
-  local name = self.sources:name(bus, id, interface)
+  local of_type, name = self.sources:find(bus, id, interface)
+  of_type = of_type or self.by_id[id]
   local label = label_of(self, of_type, name, id, bus, is_shared)
   return {
     id = id,
