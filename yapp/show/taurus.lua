@@ -25,6 +25,7 @@ local set_hidden = TreeItem.set_hidden
 local set_text = TreeItem.set_text
 
 local NONE = {}
+local WAYS = { "raised", "cleared" }
 
 local Taurus = {}
 Taurus.__index = Taurus
@@ -249,7 +250,7 @@ end
 -- "; hall_timeout raised here; motor_overcurrent cleared here", "" for nothing.
 local function changes_text(message, active)
   local text = ""
-  for _, way in ipairs { "raised", "cleared" } do
+  for _, way in ipairs(WAYS) do
     local names = changed_faults(message.change and message.change.flags or NONE, way)
     if names ~= "" then
       text = text .. (names == active and ", " or "; " .. names .. " ") .. way .. " here"
@@ -338,71 +339,86 @@ local function append_help(item, field, raw)
   end
 end
 
---- Show a message, and its expert items.
--- message, view  as Tree:show_message takes them
--- returns  the Taurus item, and the item of its faults; nil without a tree
-function Taurus:show(message, view)
-  local top, items, above = nil, NONE, nil
-  if view.payload_tvb and message.payload ~= "" then
-    top, items, above = build_tree(self, message, view)
-  end
+-- Add the expert items of the remarkable values.
+-- items  by index of field
+-- other  the item for a value without one; above: the item of faults, nil for none
+local function add_remarks(message, items, other, above)
   for _, remark in ipairs(message.remarks) do
     local index, name = remark[1], remark[2]
     local item = items[index]
     if name ~= "fault.active" then
-      add_expert(item or top or view.item, "taurus." .. name)
+      add_expert(item or other, "taurus." .. name)
     elseif item then
       append_help(item, message.source.type.fields[index], message.raws[index])
     end
   end
-  if message.remarks.has_fault then add_expert(above or top or view.item, "taurus.fault.active") end
-  return top, above
+  if message.remarks.has_fault then add_expert(above or other, "taurus.fault.active") end
 end
 
 -- Changes -----------------------------------------------------------------------------------------
 
 -- Add the bits of flags fields that rose or fell, and one expert item if faults are among them.
--- way      "raised" or "cleared"
--- top      nil without a tree
--- item     for the expert item
--- returns  the names of those faults, "" for none
+-- way   "raised" or "cleared"
+-- top   nil without a tree
+-- item  for the expert item
 local function add_flags_changes(self, changes, way, top, item)
-  for _, one in ipairs(top and changes or NONE) do
+  local has_faults = false
+  for _, one in ipairs(changes) do
     local field, raw = one.field, one[way]
     local pf = self.fields[field.group .. "." .. way]
-    if raw ~= 0 and referenced(top, pf) then
+    has_faults = has_faults or band(raw, field.alarm_bits) ~= 0
+    if top and raw ~= 0 and referenced(top, pf) then
       local added = set_generated(add(top, pf, raw))
       append_text(added, " (" .. flag_names(field, raw) .. ")")
       if way == "raised" then append_help(added, field, band(raw, field.alarm_bits)) end
     end
   end
-  local faults = changed_faults(changes, way)
-  if faults ~= "" then add_expert(item, "taurus.fault." .. way) end
-  return faults
+  if has_faults then add_expert(item, "taurus.fault." .. way) end
 end
 
---- Add the history of a message, all of it generated, with its expert items.
--- message  of reading.messages
--- top      the Taurus item; nil if no tree is wanted: then add expert items only
--- other    the item for these if top is nil
+-- Add the changes of a message, all of them generated, with their expert items.
+-- top      the Taurus item, nil without a tree
+-- item     for these: top, or YAPP's
 -- above    the item of its faults, nil for none
--- returns  the texts at the begin and the end of the Info column:
---          "cleared motor_overcurrent, hall_timeout  ", "  REBOOT"
-function Taurus:add_change(message, top, other, above)
-  local change, item, info, cleared = message.change, top or other, "", ""
-  if change.flags then
-    add_flags_changes(self, change.flags, "raised", top, above or item)
-    cleared = add_flags_changes(self, change.flags, "cleared", top, above or item)
-    if cleared ~= "" then cleared = "cleared " .. cleared .. "  " end
+-- returns  the text at the end of the Info column: "  REBOOT"
+local function add_changes(self, change, top, item, above)
+  local words = ""
+  for _, way in ipairs(WAYS) do
+    add_flags_changes(self, change.flags or NONE, way, top, above or item)
   end
   for _, row in ipairs(show_fields.CHANGES) do
     local value, label, word = change[row.change], row.label, row.word
     if value then
       add_expert(item, row[1], label and label:format(value))
-      if word then info = info .. "  " .. word end
+      if word then words = words .. "  " .. word end
     end
   end
-  return cleared, info
+  return words
+end
+
+-- Return the text at the begin of the Info column, about faults:
+-- "FAULT faulted  cleared motor_overcurrent, hall_timeout  ".
+local function faults_text(message, change)
+  local text, cleared = "", changed_faults(change.flags or NONE, "cleared")
+  if message.remarks.has_fault then
+    text = text_of.faults(message.source.type, message.raws) .. "  "
+  end
+  return cleared == "" and text or text .. "cleared " .. cleared .. "  "
+end
+
+--- Show a message, with its changes, and its expert items.
+-- message, view  as Tree:show_message takes them
+-- returns  the texts at the begin and at the end of the Info column
+function Taurus:show(message, view)
+  local top, items, above = nil, NONE, nil
+  local change, item = message.change or NONE, view.item
+  if message.raws and view.payload_tvb and message.payload ~= "" then
+    top, items, above = build_tree(self, message, view)
+    item = top
+  end
+  add_remarks(message, items, item, above)
+  local words = add_changes(self, change, top, item, above)
+  return view.wants.columns and faults_text(message, change) or "", words
 end
 
 return M

@@ -4,7 +4,6 @@
 -- Wireshark's API.
 
 local show_fields = require "yapp.show.fields"
-local text_of = require "yapp.message.text"
 local messages_of = require "yapp.show.taurus"
 local number_of = require "yapp.base.frame_key".number
 
@@ -297,30 +296,23 @@ end
 --          no tree is wanted }
 -- returns  its text for the Info column; only a part of that if there are no columns
 function Tree:show_message(result, view)
-  local top, above, info, message = nil, nil, "", result.message
-  local source = message.source
+  local info, message = "", result.message
   if view.wants.yapp then self:add_delta(view.item, message) end
   if not message.raws then
     info = show_bytes(self, message, view)
-  else
-    if view.payload_tvb or message.remarks[1] then
-      top, above = self.messages:show(message, view)
-    end
-    if view.wants.columns then info = values_text(result) end
+  elseif view.wants.columns then
+    info = values_text(result)
+  end
+  if view.payload_tvb or not result.is_usual then
+    local faults, words = self.messages:show(message, view)
+    info = faults .. info .. words
   end
   if message.copy_of then
     self:add_expert(view.item, "copy")
     info = ("%s  [copy of #%d]"):format(info, number_of(message.copy_of))
   end
-  if message.change then
-    local cleared, words = self.messages:add_change(message, top, view.item, above)
-    info = cleared .. info .. words
-  end
-  if message.remarks.has_fault and view.wants.columns then
-    info = text_of.faults(source.type, message.raws) .. "  " .. info
-  end
   if message.undecoded then
-    add_bytes(self, message, view, "undecoded", source.size)
+    add_bytes(self, message, view, "undecoded", message.source.size)
     add_mismatch(self, message, view)
     local size = Tree.bytes_text(message.transfer.size)
     info = ("%s  [%s, %d not decoded]"):format(info, size, message.undecoded)
