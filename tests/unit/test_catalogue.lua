@@ -342,7 +342,7 @@ function T.test_nonsense_in_every_option()
               local raws = one.read(("\255"):rep(size))
               count = count + 1
               lu.assertEquals(text_of.writer_of(one.info)(raws), "")
-              lu.assertStrMatches(text_of.row(one, raws), "255,.*")
+              lu.assertStrMatches(text_of.row_writer(one)(raws), "255,.*")
             end
           end
         end

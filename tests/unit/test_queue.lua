@@ -106,7 +106,7 @@ end
 function T.test_events_of_the_end()
   local queue, one = new_queue(), notes()
   add(queue, one)
-  queue:set_begin(1700000000, 500000000, 0)
+  queue.dates:set_first(1700000000, 500000000, 0)
   offer(queue, 1, "a")
   queue:packet(1, 1)
   queue:end_packets()
@@ -287,14 +287,15 @@ end
 
 function T.test_exact_times()
   local queue = new_queue()
-  local function time(rel) return { queue:clock(rel) } end
-  queue:set_begin(1700000000, 999999999, 0)
+  local dates = queue.dates
+  local function time(rel) return { dates:exact(rel) } end
+  dates:set_first(1700000000, 999999999, 0)
   lu.assertEquals(time(0), { 1700000000, 999999999 })
   lu.assertEquals(time(0.000000001), { 1700000001, 0 })
   lu.assertEquals(time(86400.123456789), { 1700086401, 123456788 })
   lu.assertEquals(time(4194302.999999998), { 1704194303, 999999997 }) -- 48 days
   lu.assertEquals(time(-2), { 1699999998, 999999999 }) -- an earlier packet behind a later one
-  queue:set_begin(1700000000, 5, 2.000000001) -- the first packet that a read filter left
+  dates:set_first(1700000000, 5, 2.000000001) -- the first packet that a read filter left
   lu.assertEquals(time(2.000000001), { 1700000000, 5 })
   lu.assertEquals(time(0), { 1699999998, 4 })
   queue:reset() -- packets may have no time: then it is that since the first one

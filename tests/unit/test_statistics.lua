@@ -5,6 +5,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local cpu = require("cpu")
 local catalogue_of = require("yapp.message.catalogue")
+local dates_of = require("yapp.stat.dates")
 local input = require("yapp.base.input")
 local kinds_of = require("yapp.stat.kinds")
 local measures_of = require("yapp.stat.measures")
@@ -102,14 +103,14 @@ local function run(arguments, records, with)
     local options = options_of.parse("yapp," .. argument, settings.catalogue)
     if not argument:find("^check") then lu.assertEquals(options.problems, {}) end
     local context = { out = function(text) printed[#printed + 1] = text end, settings = settings,
-      queue = queue, frames = with.frames, make_folder = with.make_folder,
+      dates = queue.dates, frames = with.frames, make_folder = with.make_folder,
       json = options.json }
     local ok, statistic = pcall(options.row.new, options, context)
     if not ok then return nil, nil, { statistic } end
     options.filter = with.matches
     matched = queue:add(statistic, options).matched
   end
-  queue:set_begin(with.epoch or 1700000000, 5, 0)
+  queue.dates:set_first(with.epoch or 1700000000, 5, 0)
   local function lacks_clock() return with.lacks_clock end
   add_faults(records)
   for _, one in ipairs(records) do
@@ -357,8 +358,21 @@ function T.test_csv_before_1970()
   lu.assertEquals(lines(run({ "csv,-,motor" }, { record(1, 0), record(2, 0.75), record(3, 2) }, { epoch = -2 })), {
     "time,frame,bus,source,id,seq," .. COLUMNS, "-1.999999995,1,can0,left,528,0," .. CELLS, "-1.249999995,2,can0,left,528,0," .. CELLS,
     "0.000000005,3,can0,left,528,0," .. CELLS })
-  lu.assertEquals({ output.time_text(-1, 1), output.time_text(-1, 0), output.time_text(-1, 999999999),
-    output.time_text(0, 1) }, { "-0.999999999", "-1.000000000", "-0.000000001", "0.000000001" })
+  local function text(seconds, nanoseconds)
+    local dates = dates_of.new()
+    dates:set_first(seconds, nanoseconds, 0)
+    return dates:text(0)
+  end
+  for expected, first in pairs {
+    ["-0.999999999"] = { -1, 1 },
+    ["-1.000000000"] = { -1, 0 },
+    ["-0.100000000"] = { -1, 900000000 },
+    ["-0.000000001"] = { -1, 999999999 },
+    ["0.000000001"] = { 0, 1 },
+    ["1700000000.000000005"] = { 1700000000, 5 },
+  } do
+    lu.assertEquals(text(first[1], first[2]), expected)
+  end
 end
 
 function T.test_csv_in_a_folder()

@@ -30,7 +30,7 @@ local function new_queue(settings, hint)
     self.packets = self.packets + 1
     table.insert(seen.packets, { number, rel, lacks_clock() })
   end
-  function queue.set_begin(_, ...) seen.begins = { ... } end
+  queue.dates = { set_first = function(_, ...) seen.begins = { ... } end }
   function queue.reset() seen.resets = seen.resets + 1 end
   function queue.add(_, statistic, options)
     seen.added = { statistic, options }
@@ -67,7 +67,7 @@ local function read_packets()
 end
 
 local function new_stat(is_gui)
-  local buses = stand_in("buses", { found = {} })
+  local buses = stand_in("buses", { found = {}, time_name = "rel_ts", start = -100 })
   function buses.drops() return { "of the buses" } end
   function buses.lacks_times() return wireshark.lacks_times end
   function buses.lacks_clock() return "lacks_clock" end

@@ -22,7 +22,7 @@ end
 
 -- The row of CSV of a payload.
 local function row_of(m, payload)
-  return text_of.row(m, (m.read(payload)))
+  return text_of.row_writer(m)((m.read(payload)))
 end
 
 -- The row of CSV of a payload, and the experts of its remarks.
@@ -473,11 +473,11 @@ function T.test_many_fields_of_every_kind()
     size = size + ({ 1, 2, 8, 4 })[i % 4 + 1]
   end
   local m = message(size, (table.unpack or unpack)(rows)) -- luacheck: ignore
-  lu.assertEquals(select(2, text_of.row(m, ("\1"):rep(size)):gsub(",", "")), #text_of.columns(m) - 1)
+  lu.assertEquals(select(2, text_of.row_writer(m)(("\1"):rep(size)):gsub(",", "")), #text_of.columns(m) - 1)
 end
 
 function T.test_a_message_of_padding_only()
-  lu.assertEquals(text_of.row(message(9, { "p", "padding", length = 9 }), ("x"):rep(9)), "")
+  lu.assertEquals(text_of.row_writer(message(9, { "p", "padding", length = 9 }))(("x"):rep(9)), "")
 end
 
 return T

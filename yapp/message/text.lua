@@ -250,11 +250,10 @@ local rows = memo(function(message)
   return pieces
 end)
 
---- Return the cells of a message, joined by commas, in the order of its columns; quoted where they
--- must be, empty for fields that are absent.
--- raws  of its reader
-function M.row(message, raws)
-  return M.writer_of(rows[message])(raws)
+--- Return the function(raws) -> the cells of a message, joined by commas, in the order of its
+-- columns; quoted where they must be, empty for fields that are absent.
+function M.row_writer(of_type)
+  return M.writer_of(rows[of_type])
 end
 
 return M

@@ -78,7 +78,7 @@ local function is_about(rule, group)
   local kind, of_type = rule.kind, group.type
   if not measures.is_of(rule, group.source) then return false end
   if rule.message then return of_type == rule.message end
-  if kind.scope == "rare" then return group.counts[kind.name].seen > 0 end
+  if kind.scope == "rare" then return groups.count(group, kind.name).seen > 0 end
   if not kind.about then return group.source.id ~= nil end
   local has = of_type and of_type[kind.about]
   return has and (type(has) ~= "table" or next(has) ~= nil)
@@ -90,7 +90,7 @@ local function measure_none(_, rule, check)
   local message, source, is_rare = rule.message, rule.source, rule.kind.scope == "rare"
   if rule.is_default or is_rare then
     for _, group in ipairs(check.list) do
-      local has_come = group.count > 0 or group.counts.crc.seen > 0
+      local has_come = group.count > 0 or groups.count(group, "crc").seen > 0
       local is_seen = has_come and measures.is_of(rule, group.source)
       if is_seen then return 0, nil, not is_rare and NONE end
     end

@@ -34,10 +34,13 @@ local CRC_GOOD = { { name = "crc_good", type = "bool" } }
 local Csv = { wants_messages_only = true }
 Csv.__index = Csv
 
--- Return the cells of a source, "can0,left,528".
-local function cells_of(source)
+-- Return the parts of a source's rows.
+local function parts_of(source)
   local bus, name = field_kinds.quoted(source.bus or ""), field_kinds.quoted(source.name or "")
-  return ("%s,%s,%d"):format(bus, name, source.id)
+  return {
+    cells = ("%s,%s,%d"):format(bus, name, source.id), -- "can0,left,528"
+    write = text_of.row_writer(source.type), -- function(raws) -> those of the message
+  }
 end
 
 -- Return the common columns, then the message's.
@@ -71,7 +74,7 @@ end
 
 --- options  { folder = path or "-", chosen = compiled message where it is printed, replace =,
 --          all = booleans, statistics = see M.describe }
--- context  { queue = a stat.queue, which has the clock; settings = see stat.taps;
+-- context  { dates = a stat.dates; settings = see stat.taps;
 --          make_folder = function(path) -> true if it is there; and the rest for output.print }
 -- It raises why a file cannot be written.
 function M.new(options, context)
@@ -81,7 +84,7 @@ function M.new(options, context)
     files = {},
     fields = nil, -- the file
     tables = {}, -- by message: { file, rows = how many it has }
-    cells = memo(cells_of), -- by source: a twentieth of the time
+    parts = memo(parts_of), -- by source: a twentieth of the time
   }, Csv)
   if options.chosen then
     begin(self, options.chosen, { write = function(_, text) context.out(text) end })
@@ -102,11 +105,11 @@ function Csv:add_event(event)
   local all, source, is_good = self.options.all, event.source, event.kind == "message"
   local to = event.raws and self.tables[source.type]
   if not (to and (is_good or all)) then return end
-  local time = output.time_text(self.context.queue:clock(event.time))
+  local time = self.context.dates:text(event.time)
   local crc_good = all and (is_good and "1," or "0,") or ""
-  local row = text_of.row(source.type, event.raws)
+  local parts = self.parts[source]
   to.file:write(("%s,%d,%s,%d,%s%s\n"):format(
-    time, event.frame, self.cells[source], event.seq, crc_good, row))
+    time, event.frame, parts.cells, event.seq, crc_good, parts.write(event.raws)))
   to.rows = to.rows + 1
 end
 

@@ -49,7 +49,7 @@ local function new_state()
     counted_faults = NOTHING, -- the faults that were set then
     held = nil, -- list of events that a `shared` may explain, see hold
     is_numbered = false, -- true if Seq No numbers its messages: it changed
-    missing_by_period = 0, -- number of messages that fit into the gaps between its messages
+    missing_by_period = 0, -- number of messages that fit into the gaps between them: if counted
   }
 end
 
@@ -229,7 +229,7 @@ end
 local function update_state(self, event, is_counted, capture_now)
   local state, values = self.by_source[event.source], event.values
   local change = values.change or NOTHING
-  if state.is_counted and not values.is_unreliable then
+  if self.counts and state.is_counted and not values.is_unreliable then
     local missing = count_missing(state, state.last_at, self.now)
     state.missing_by_period = state.missing_by_period + missing
   end

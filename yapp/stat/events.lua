@@ -59,8 +59,7 @@ Events.__index = Events
 
 --- Make the statistic.
 -- options  { what = "events" or "faults" }
--- context  { queue = a stat.queue, which has the clock; and the rest for
---          output.print }
+-- context  { dates = a stat.dates; and the rest for output.print }
 function M.new(options, context)
   return setmetatable({ what = options.what, context = context, list = {} }, Events)
 end
@@ -82,7 +81,7 @@ local function row_of(self, event, ending)
   local row = {
     kind = event.kind,
     frame = event.frame,
-    time = time and output.time(self.context.queue:clock(time)),
+    time = time and self.context.dates:value(time),
     rel = output.seconds(event.rel),
     details = nil,
     keys = self.what == "events" and KEYS_OF_KIND[event.kind] or nil,

@@ -14,6 +14,7 @@ local span = kinds.span
 local number_of_raw = field_kinds.number
 local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
+local NO_EVENTS = { seen = 0, values = kinds.NOTHING } -- a count: to be read only
 
 -- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent, of
 -- flags those of a mask; NaN for a reserved value, nil where the message does not have the field.
@@ -101,28 +102,22 @@ end
 
 -- Groups ----------------------------------------------------------------------------------------
 
--- Make the count of a kind of event; frame and values = of the first, cause = of the latest.
-local function new_count()
-  return { seen = 0, frame = nil, values = kinds.NOTHING, cause = nil }
-end
-
 local function new_spread()
   return { members = {}, worst = nil, frame = nil, rel = nil }
 end
 
 -- Make the record of a source: {
 --   source, type = the source's
---   counts = { [kind of event] = see new_count }
+--   counts = { [kind of event] = see M.count }
 --   count = of good messages, decoded = of those that were decoded; first, last = their times,
 --   last_frame
 --   gap_min, gap_max = seconds, gap_max_frame
 --   silent = how long it has been silent at the capture's end, if that is a silence
 --   is_unreliable = true if one of them had an unreliable history
---   values = a list, also by entry of Groups:wants
---   bus_order = number of groups before the first one of its bus }
+--   values = a list, also by entry of Groups:wants }
 local function new_group(self, source)
   local of_type, all = source.type, {}
-  for i, want in ipairs(of_type and self.wanted[of_type] or {}) do
+  for i, want in ipairs(self.wanted[of_type or false] or kinds.NOTHING) do
     local spread = want.is_spread and self.spreads[want]
     local values = new_values(want, spread)
     if spread then table.insert(spread.members, values) end
@@ -131,11 +126,10 @@ local function new_group(self, source)
   return {
     source = source,
     type = of_type,
-    counts = memo(new_count),
+    counts = {},
     count = 0,
     decoded = 0,
     values = all,
-    bus_order = self.bus_orders[source.bus_key or false],
   }
 end
 
@@ -146,8 +140,7 @@ local Groups = {}
 --          numbers; compares = true if it gathers their spreads, too
 -- returns  it, with class.new(options, context), which makes a statistic:
 --   options  of stat.options
---   context  { queue = a stat.queue, which has the clock; settings = see stat.taps;
---            and the rest for output.print }
+--   context  { dates = a stat.dates; settings = see stat.taps; and the rest for output.print }
 function M.class(class)
   class.__index = class
   function class.new(options, context)
@@ -157,14 +150,15 @@ function M.class(class)
       context = context,
       list = list, -- of groups
       by_source = nil,
-      capture = { counts = memo(new_count) }, -- a group: the events of the whole capture
+      capture = { counts = {} }, -- a group: the events of the whole capture
       absent = {}, -- by source: true if none of its messages came
-      wanted = nil, -- by message type: see Groups:wants
+      wanted = {}, -- by message type: see Groups:wants
       spreads = memo(new_spread), -- by entry of Groups:wants
-      bus_orders = memo(function() return #list end), -- [bus] = how many groups came before it
     }, class)
     self.by_source = memo(function(source) return new_group(self, source) end, list)
-    self.wanted = memo(function(of_type) return self:wants(of_type) end)
+    for _, of_type in ipairs(context.settings.catalogue.messages) do
+      self.wanted[of_type] = self:wants(of_type)
+    end
     return self
   end
   return setmetatable(class, { __index = Groups })
@@ -185,7 +179,9 @@ end
 
 -- amount  to add; nil for 1, but only once for all events of one cause
 local function count_event(group, kind, event, cause, amount)
-  local count, frame = group.counts[kind], event.frame
+  local counts, frame = group.counts, event.frame
+  local count = counts[kind] or { seen = 0, frame = nil, values = kinds.NOTHING, cause = nil }
+  counts[kind] = count
   if frame and frame < (count.frame or INFINITE) then
     count.frame, count.values = frame, event.values
   end
@@ -256,6 +252,12 @@ function Groups:add_event(event, now, cause)
   end
 end
 
+--- Return the count of a kind of event in a group: { seen = how many, frame, values = of the first,
+-- cause = of the latest }.
+function M.count(group, kind)
+  return group.counts[kind] or NO_EVENTS
+end
+
 --- Return the mean gap in seconds, nil for fewer than two messages.
 function M.mean_gap(group)
   return group.count > 1 and span(group.first, group.last) / (group.count - 1) or nil
@@ -284,7 +286,14 @@ end
 --- Return all groups by bus in the order in which buses showed, then by ID.  A stream itself has no
 -- ID and comes first.
 function Groups:sort()
-  output.sort(self.list, function(group) return group.bus_order, group.source.id or -1 end)
+  local orders = {} -- [bus] = index of its first group
+  for i, group in ipairs(self.list) do
+    local bus = group.source.bus_key or false
+    orders[bus] = orders[bus] or i
+  end
+  output.sort(self.list, function(group)
+    return orders[group.source.bus_key or false], group.source.id or -1
+  end)
   return self.list
 end
 

@@ -18,7 +18,7 @@ local INFINITE = math.huge
 local NO_VALUE = "no good message of it was decoded"
 local ALL_RESERVED = "all its values are reserved"
 local SAME_SEQ = {
-  json = '"Seq No never changes: lost messages do not show"',
+  value = "Seq No never changes: lost messages do not show",
   text = "Seq No never changes: lost messages do not show",
   short = "Seq No never changes",
 }
@@ -231,7 +231,7 @@ M.LIST = joined(M.OF_MESSAGE, M.OF_FIELD)
 -- How many events of a kind there are.
 local function count_events(group, rule)
   local kind = rule.kind
-  local count = group.counts[kind.name]
+  local count = groups.count(group, kind.name)
   local needed = kind.needs_values and group.decoded or kind.needs_past and group.count
   if needed == 0 then return nil, nil, NO_VALUE end
   return count.seen, count.frame, count.values.note

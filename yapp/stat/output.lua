@@ -31,11 +31,11 @@ local function number_value(value)
   return tonumber(shown) == value and shown or format("%.17g", value)
 end
 
---- The JSON of a value: string, number, nil (null), or { json = JSON already }.
+--- The JSON of a value, see below: string, number, nil (null), or that of a table.
 function M.value(value)
   local kind = type(value)
   if kind == "number" then return number_value(value) end
-  if kind == "table" then return value.json end
+  if kind == "table" then return value.json or M.value(value.value) end
   return value and text_value(value) or "null"
 end
 
@@ -58,31 +58,12 @@ function M.list(objects)
   return { json = "[" .. table.concat(texts, ",") .. "]" }
 end
 
---- A time of the capture with nine digits, as text.
--- seconds, nanoseconds  integers, nanoseconds 0 .. 999,999,999
-function M.time_text(seconds, nanoseconds)
-  if seconds < 0 and nanoseconds > 0 then -- -1 s plus 9e8 ns is -0.1 s
-    return format("-%d.%09d", -seconds - 1, 1000000000 - nanoseconds)
-  end
-  return format("%d.%09d", seconds, nanoseconds)
-end
-
 -- Values ----------------------------------------------------------------------------------------
 --
--- A value of a row: a text, a number, nil, or { json, text, short } where people read something
--- else than JSON has, or nothing (no text); short is the text for a window, if that is
--- shorter.
-
---- Return a time of the capture; people read it in UTC, to the microsecond.
--- seconds, nanoseconds  since 1970
-function M.time(seconds, nanoseconds)
-  local ok, date = pcall(os.date, "!%Y-%m-%d %H:%M:%S", seconds) -- on Windows from 1970 to 3000
-  local shown = ok and date or format("%d", seconds)
-  return {
-    json = M.time_text(seconds, nanoseconds),
-    text = format("%s.%06d", shown, math.floor(nanoseconds / 1000)),
-  }
-end
+-- A value of a row: a text, a number, nil, or where people read something else than JSON has, or
+-- nothing, a table:
+--   value  a text or a number for JSON, or nil for null; or json = JSON already
+--   text   for people, nil for nothing; short = the same for a window, if that is shorter
 
 --- Return a span of seconds; nil for nil.
 function M.seconds(value)
@@ -123,8 +104,8 @@ function M.row(source, row)
   row.who = source.name or M.bus_and_id(source) -- bus, ID and name in one column
   if not source.id then return row end
   local message = source.type or { title = "unknown" }
-  row.id = { json = format("%d", source.id), text = format("0x%x", source.id) }
-  row.message = { json = M.value(message.name), text = message.title }
+  row.id = { value = source.id, text = format("0x%x", source.id) }
+  row.message = { value = message.name, text = message.title }
   return row
 end
 

@@ -1,11 +1,12 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- From the dissectors to the statistics: hands on events in the order of the capture, to each
--- statistic those that its filter lets count.  Knows exact times.  Pure Lua, 5.2 to 5.5.
+-- statistic those that its filter lets count.  Pure Lua, 5.2 to 5.5.
 --
 -- A packet is dissected, and its events are offered.  Then the taps run: a filter's says that the
 -- packet matches, and the one that sees all packets says that it is there.  Nothing promises their
 -- order, so the events of a packet are handed on when the next packet comes.
 
+local dates = require "yapp.stat.dates"
 local derive = require "yapp.stat.derive"
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
@@ -26,7 +27,7 @@ local NO_TIMES = "packets of this capture have no time stamps"
 -- As candump -H writes them for an adapter that has no clock.
 local EQUAL_TIMES = "all packets of this capture have the same time stamp"
 
-local abs, floor, huge, max = math.abs, math.floor, math.huge, math.max
+local abs, huge, max = math.abs, math.huge, math.max
 
 local Queue = {}
 Queue.__index = Queue
@@ -36,6 +37,7 @@ Queue.__index = Queue
 -- hint      a text for statistics without a filter, or nil
 function M.new(settings, hint)
   local self = setmetatable({ settings = settings, hint = hint, derivers = {} }, Queue)
+  self.dates = dates.new()
   self:reset()
   return self
 end
@@ -53,7 +55,7 @@ function Queue:reset()
   self.has_progress = false -- true if it differs from the packet's before
   self.packets = 0
   self.clocks = {} -- by source, see time_of
-  self:set_begin(0, 0, 0) -- until a time is known, if ever
+  self.dates:set_first(0, 0, 0) -- until a time is known, if ever
   self.losses, self.max_losses = {}, MAX_LOSSES -- events that wait, see deliver_losses
   self.seen = {} -- [value that all losses of one message share] = true once one was handed on
   self.undissected = {} -- events, see Queue:add_undissected: they count if messages are dissected
@@ -220,24 +222,6 @@ function Queue:add_undissected(event)
   self.undissected[#self.undissected + 1] = event
 end
 
---- Set when the first packet was captured.
--- seconds, nanoseconds  integers
--- rel                   the packet's time since the first one: not 0 if a filter rejected the first
-function Queue:set_begin(seconds, nanoseconds, rel)
-  self.first = { seconds = seconds, nanoseconds = nanoseconds, rel = rel }
-end
-
---- Return a time of the capture as seconds since 1970 and nanoseconds; exact for captures of up to
--- 48 days, as a double has 2^22 s to half a nanosecond.
--- rel  seconds since the first packet
-function Queue:clock(rel)
-  local first = self.first
-  local since = rel - first.rel
-  local nanoseconds = first.nanoseconds + floor(since % 1 * 1e9 + 0.5)
-  local seconds = first.seconds + floor(since) + floor(nanoseconds / 1e9)
-  return seconds, nanoseconds % 1e9
-end
-
 --- Hand on events at once from now on, if all statistics are tables: no other can do without the
 -- taps of packets.  This saves a tenth of csv's time.  Call it from a tap, when no other packet
 -- still waits for its taps.
@@ -356,7 +340,7 @@ function Queue:finish(capture)
   for _, event in ipairs(capture.unread and {} or capture.unfinished) do
     deliver(self, event)
   end
-  local seconds, nanoseconds = self:clock(0)
+  local seconds, nanoseconds = self.dates:exact(0)
   local ending = {
     rel = self.last, -- of the last packet of any kind, nil where there was none
     now = self.last and self.now,

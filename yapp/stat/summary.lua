@@ -85,7 +85,7 @@ local function row_of(group, ending)
   local row = output.row(group.source, {})
   for _, column in ipairs(COLUMNS.all) do
     if column.kind then
-      row[column.key] = group.counts[column.kind].seen
+      row[column.key] = groups.count(group, column.kind).seen
     elseif column.value and not (column.needs_time and ending.lacks_times) then
       row[column.key] = column.value(group)
     end
@@ -100,8 +100,11 @@ function Summary:finish(ending, notes)
     local names, ranges = {}, {}
     for j, values in ipairs(group.values) do
       local row = groups.row(group, values)
-      names[j], ranges[row.field] = row.field, output.object(RANGE, row)
-      if row.min then shown[#shown + 1] = row end
+      if context.json then
+        names[j], ranges[row.field] = row.field, output.object(RANGE, row)
+      elseif row.min then
+        shown[#shown + 1] = row
+      end
     end
     rows[i] = row_of(group, ending)
     rows[i].values = output.object(names, ranges)
@@ -109,7 +112,7 @@ function Summary:finish(ending, notes)
   local sources = output.count(#rows, "source")
   local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.now or 0)
   output.print(context, title, COLUMNS, rows, notes)
-  if shown[1] and not context.json then
+  if shown[1] then
     context.out("\n")
     output.table(context, VALUES, shown)
   end
@@ -214,7 +217,7 @@ local function add_rows(self, list, index, rows)
   for i = 2, #all do all[i].field, all[i].unit = nil, nil end
   local row, rel = rows[first], spread.rel
   row.spread, row.frame, row.rel = spread.worst, spread.frame, output.seconds(rel)
-  row.time = rel and output.time(self.context.queue:clock(rel))
+  row.time = rel and self.context.dates:value(rel)
   row.sources = output.list(sources)
 end
 

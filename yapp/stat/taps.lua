@@ -90,7 +90,7 @@ local function tap_clock(self)
     if self.is_exact then return end
     for _, info in ipairs { all_field_infos() } do
       if info.name == "frame.time_epoch" then
-        self.queue:set_begin(info.value.secs, info.value.nsecs, self.buses:time(pinfo))
+        self.queue.dates:set_first(info.value.secs, info.value.nsecs, self.buses:time(pinfo))
         self.is_exact = true
       end
     end
@@ -132,7 +132,7 @@ local function tap_packets(self)
       if not self.frames:is_second_pass(pinfo.number) then end_trees(self, tap, clock) end
     end
     if deferral.is_undecided then deferral:decide(self.builder.wanted) end
-    self.queue:packet(pinfo.number, buses:time(pinfo), lacks_clock)
+    self.queue:packet(pinfo.number, pinfo[buses.time_name] - buses.start, lacks_clock)
     calls.ended = calls.ended + 1
   end
 
@@ -220,7 +220,7 @@ local function begin_statistic(self, text, context)
     error(table.concat(options.problems, "\n"), 0)
   end
   local filter = options.filter and tap_filter(self, options.filter)
-  context.queue, context.settings = events, self.settings
+  context.dates, context.settings = events.dates, self.settings
   context.json, context.make_folder = options.json, make_folder
   local statistic = options.row.new(options, context)
   local deriver = events:add(statistic, options)

@@ -1,0 +1,54 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The dates of packets: exact times since 1970.  Pure Lua, 5.2 to 5.5.
+
+local M = {}
+
+local floor, format = math.floor, string.format
+
+local Dates = {}
+Dates.__index = Dates
+
+--- Make the dates of a capture.  Until Dates:set_first, its first packet came in 1970.
+function M.new()
+  local self = setmetatable({}, Dates)
+  self:set_first(0, 0, 0)
+  return self
+end
+
+--- Set when the first packet was captured.
+-- seconds, nanoseconds  integers
+-- rel                   the packet's time since the first one: not 0 if a filter rejected the first
+function Dates:set_first(seconds, nanoseconds, rel)
+  self.first = { seconds = seconds, nanoseconds = nanoseconds, rel = rel }
+end
+
+--- Return a time as seconds and nanoseconds; exact for captures of up to 48 days, as a double has
+-- 2^22 s to half a nanosecond.
+-- rel      seconds since the first packet
+-- returns  integers, nanoseconds 0 .. 999,999,999
+function Dates:exact(rel)
+  local first = self.first
+  local since = rel - first.rel
+  local nanoseconds = first.nanoseconds + floor(since % 1 * 1e9 + 0.5)
+  local seconds = first.seconds + floor(since) + floor(nanoseconds / 1e9)
+  return seconds, nanoseconds % 1e9
+end
+
+--- Return a time as a number with nine digits behind the point, a text.
+function Dates:text(rel)
+  local seconds, nanoseconds = self:exact(rel)
+  if seconds < 0 and nanoseconds > 0 then -- -1 s plus 9e8 ns is -0.1 s
+    return format("-%d.%09d", -seconds - 1, 1000000000 - nanoseconds)
+  end
+  return format("%d.%09d", seconds, nanoseconds)
+end
+
+--- Return a time as a value of a row, see stat.output; people read it in UTC, to the microsecond.
+function Dates:value(rel)
+  local seconds, nanoseconds = self:exact(rel)
+  local ok, date = pcall(os.date, "!%Y-%m-%d %H:%M:%S", seconds) -- on Windows from 1970 to 3000
+  local shown = ok and date or format("%d", seconds)
+  return { json = self:text(rel), text = format("%s.%06d", shown, floor(nanoseconds / 1000)) }
+end
+
+return M
