@@ -332,6 +332,11 @@ function T.test_undissected_frames()
   report(words.can_id(COMMAND, 1, 0, 9), words.start(COMMAND, ("x"):rep(8)))
   report(words.can_id(COMMAND, 1, 0, 9), words.start(COMMAND, ("x"):rep(9)))
   lu.assertEquals(capture.events, { "undissected ID 0x321 @1", "undissected Command @2", "undissected Command @9" })
+  -- A byte behind the values of a single frame.
+  report(words.can_id(COMMAND, 0, 0, 9), "\1\165" .. ("\0"):rep(5) .. "x")
+  report(words.can_id(COMMAND, 0, 0, 9), "\165\1" .. ("\0"):rep(5) .. "x") -- no command
+  report(words.can_id(COMMAND, 2, 0, 9), "\1\165" .. ("\0"):rep(5) .. "x") -- a Middle
+  lu.assertEquals({ #capture.events, capture.events[4] }, { 4, "undissected Command @10" })
 end
 
 -- Streams ------------------------------------------------------------------------------------------------------------
@@ -495,6 +500,17 @@ function T.test_the_end_twice()
   lu.assertTrue(#first > 0)
   lu.assertEquals(#capture.reading:drops(), 1)
   lu.assertEquals(ending(), first)
+end
+
+-- Bytes of no frame behind a gap: fewer than a header may be a part of one.
+function T.test_the_end_in_bytes_of_no_frame()
+  for length, kind in pairs { [1] = "none", [11] = "none", [12] = "skipped", [13] = "skipped" } do
+    local capture = new_capture()
+    visit_packet(capture, lines.TCP, MOTOR_FRAME, { seq = 100, epoch = 1 })
+    visit_packet(capture, lines.TCP, ("x"):rep(length), { seq = 100 + #MOTOR_FRAME + 9, epoch = 1 })
+    local list = capture.reading:finish(false)
+    lu.assertEquals({ list[1] and list[1].kind or "none", list[2] }, { kind }, length)
+  end
 end
 
 -- The message of a known bus may have gone on unseen once frames come whose bus is not known.

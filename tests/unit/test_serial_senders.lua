@@ -24,6 +24,7 @@ function T.test_short_names()
     { "192.168.1.12:40001", "…12:40001" }, { "192.168.2.12:40000", "…2.12:40000" },
     { "10.0.2.12:40000", "…0.2.12:40000" }, { "11.0.2.12:40000", "11.0.2.12:40000" },
     { "192.168.1.12:40000", "…12:40000" }, { "192.168.1.10", "…10" },
+    { "192.168.1.5:40000", "…5:40000" },
     { "[fe80::1]:14550", "…1]:14550" }, { "[fe80::2:1]:14550", "…2:1]:14550" }, { "host", "host" },
   } do
     lu.assertEquals(self:shorten(row[1]), row[2])
@@ -84,6 +85,7 @@ function T.test_new_ports_in_the_first_bytes_of_a_file()
       -- A port that was picked by chance came back.
       { { 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 12, 21, 22, 23, 24, 25, 26, 27 }, true },
       { { 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 11, 12, 13, 14, 15, 16, 17, 18 }, false },
+      { { 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 12, 21, 22, 23, 24, 25, 26, 27, 13 }, false }, -- two of 17
     } do
       local self, parts = senders.new(), {}
       for i, port in ipairs(row[1]) do parts[i] = make(port) end
@@ -101,6 +103,14 @@ function T.test_what_is_no_datagram()
   lu.assertEquals(next(self.is_changing), nil)
   self:scan(ipv4(1, 11) .. ipv4(2, 12) .. ipv4(3, 13) .. ipv4(4, 11))
   lu.assertEquals(next(self.is_changing), nil)
+end
+
+-- The first byte of IPv6 has the version and half of the traffic class.
+function T.test_versions_of_ip()
+  for first = 0x50, 0x7F do
+    local bytes = ipv6(9, ("a"):rep(16)):gsub("\96", string.char(first), 1)
+    lu.assertEquals(#senders.conversations(bytes), 0x60 <= first and first <= 0x6F and 1 or 0, first)
+  end
 end
 
 -- Bytes of another packet may look like IPv6 with UDP.  Then the two lengths differ.

@@ -356,6 +356,18 @@ function T.test_a_trial_that_fails()
   lu.assertFalse(self:has_failed("a65"))
 end
 
+function T.test_lines_that_have_trials()
+  local self = new()
+  local function has_trials() return { self:may_go_on(1), self:may_go_on(2) } end
+  lu.assertEquals(has_trials(), { false, false })
+  for _, stream in ipairs { "a", "b" } do self:try_packet(packet_of { 1, B:sub(1, 7), stream = stream, tag = 1 }) end
+  lu.assertEquals(has_trials(), { true, false })
+  self:end_trial("a")
+  lu.assertEquals(has_trials(), { true, false })
+  self:end_trial("b")
+  lu.assertEquals(has_trials(), { false, false })
+end
+
 function T.test_a_trial_ends()
   local self = new()
   for i = 1, 1000 do lu.assertNil(self:try_packet(packet_of { i, "textY", stream = "a" .. i })) end

@@ -121,7 +121,7 @@ local function run(arguments, records, with)
   if with.last then queue:packet(9999, with.last, lacks_clock) end
   local code, texts = queue:finish { unfinished = with.unfinished or {}, drops = with.drops or {},
     problems = { with.unread }, unread = with.unread,
-    lacks_times = with.lacks_times, extended = with.extended or 0, can = with.can or 0 }
+    lacks_times = with.lacks_times, extended = with.extended or 0, can = with.can or 0, certain = with.certain }
   return table.concat(printed), code, texts
 end
 
@@ -1161,7 +1161,12 @@ function T.test_messages_that_are_not_dissected()
   lu.assertStrContains(lines(printed)[3], "1 message was not decoded")
   printed = run({ "faults" }, {}, { can = 1, last = 0 })
   lu.assertEquals(lines(printed)[2], "no YAPP message found in 1 packet: no CAN data frame has a 29-bit id")
-  lu.assertStrContains(run({ "faults" }, {}, { can = 0, last = 1 }), "see yapp.user_dlt") -- not every packet is CAN's
+  for can = 0, 1 do -- not every packet is CAN's
+    lu.assertStrContains(run({ "faults" }, { records[2] }, { can = can, last = 2 }), "see yapp.user_dlt")
+  end
+  local with = { certain = { "-d a", "-d b" }, last = 2 }
+  lu.assertStrContains(run({ "check" }, {}, with), "the capture has YAPP that was not decoded")
+  lu.assertStrContains(run({ "check" }, { records[1] }, with), "YAPP in other packets was not decoded: try -d a -d b")
 end
 
 function T.test_nothing_to_judge_by()
