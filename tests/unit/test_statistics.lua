@@ -789,6 +789,28 @@ function T.test_mean()
   lu.assertEquals(select(2, verdicts("motor.volts.mean=..12", {})), 21)
 end
 
+-- Where not all packets were read, a rule fails only if no more of them can mend it.
+function T.test_unread_packets_may_mend_a_rule()
+  local records = { record(1, 0), record(2, 0, { source = RIGHT, payload = payload(20) }),
+    record(3, 1, { payload = payload(255) }), bad(4, 2) }
+  local with = { unread = "not all packets were read", named = NAMED }
+  local rules = { ["motor.volts=..9"] = "false", ["motor.volts.numbers=..9"] = "false", ["motor.volts.spread=1"] = "false",
+    ["motor.gap=0.5"] = "false", ["crc=0"] = "false", ["motor.volts.mean=..9"] = "null", ["motor.volts.ratio=..0.1"] = "null",
+    ["motor.volts.reserved=0.1"] = "null", ["motor.rate=..0.1"] = "null", ["absent=0"] = "null", ["motor.count=9"] = "null",
+    ["motor.volts.numbers=..30"] = "null" }
+  local judged = 0
+  for rule, ok in pairs(rules) do
+    local is_of_all = rule:find("spread") ~= nil
+    for _, line in ipairs(verdicts((is_of_all and "" or "source=left,") .. rule, records, with)) do
+      if line:sub(1, #rule) == rule then
+        lu.assertEquals(line:match(" (%l+) %S+ %S+$"), ok, line)
+        judged = judged + 1
+      end
+    end
+  end
+  lu.assertEquals(judged, 12)
+end
+
 -- LEFT has 10 and 14 V, three others 8, 9 and 7 V: 12 is 1.5 times their mean, 7 is 7 / (29 / 3) of theirs.
 function T.test_ratio()
   local others = {}

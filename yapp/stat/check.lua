@@ -103,12 +103,12 @@ end
 
 -- Why a rule cannot be judged, whatever was seen; nil for no reason.
 -- ok           FAILED if it does not seem to hold
--- is_exceeded  true if more packets cannot make it hold
+-- is_exceeded  true if the value is above the limit
 local function reason_of(kind, group, ending, ok, is_exceeded)
   if kind.needs_time and ending.lacks_times then
     return ending.lacks_times
   end
-  if ending.unread and not is_exceeded then return ending.unread end
+  if ending.unread and (kind.can_fall or not is_exceeded) then return ending.unread end
   if ok == FAILED then return nil end
   if kind.needs_past and group.is_unreliable then
     return "what came before its messages is not known: see -z yapp,events"

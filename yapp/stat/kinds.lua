@@ -24,6 +24,7 @@ local M = {}
 -- needs_values  the same with a message that was decoded
 -- is_doubtful true if a `shared` behind it may explain it, see stat.derive
 -- needs_time  true if it can be judged only if packets have time stamps
+-- can_fall    true if more packets may lower what the rule judges
 M.LIST = {
   {
     "fault",
@@ -118,7 +119,7 @@ M.LIST = {
     hides = "lost while capturing",
     scope = "capture",
   },
-  { "absent", "no message of it came", scope = "capture" },
+  { "absent", "no message of it came", scope = "capture", can_fall = true },
   { "copies", "recorded twice", is_optional = true, is_counted_only = true },
   {
     "unknown",

@@ -129,7 +129,7 @@ end
 -- takes_range  true if the limit may be A..B, A.. or ..B; nothing else if there is no bound.
 --              Without both the limit is no number, and want sets it
 -- want     of a field: function(rule, field) -> an entry of Groups:wants
--- needs_past, needs_time, scope  as in rows of kinds
+-- needs_past, needs_time, can_fall, scope  as in rows of kinds
 
 --- MESSAGE.NAME=LIMIT
 M.OF_MESSAGE = {
@@ -150,6 +150,7 @@ M.OF_MESSAGE = {
     takes_range = true,
     needs_past = true,
     needs_time = true,
+    can_fall = true,
   },
   {
     name = "gap",
@@ -187,6 +188,7 @@ M.OF_FIELD = {
     measure = measure_mean,
     takes_range = true,
     want = function(_, field) return { field = field } end,
+    can_fall = true,
   },
   {
     name = "ratio",
@@ -195,6 +197,7 @@ M.OF_FIELD = {
     measure = measure_ratio,
     takes_range = true,
     want = function(_, field) return { field = field } end,
+    can_fall = true,
   },
   {
     name = "reserved",
@@ -203,6 +206,7 @@ M.OF_FIELD = {
     measure = measure_reserved,
     bound = "high",
     want = function(_, field) return { field = field } end,
+    can_fall = true,
   },
   {
     name = "only",
