@@ -53,9 +53,9 @@ end
 
 local function new(options)
   options = options or {}
-  local function lacks_times() return options.lacks_times end
+  local function has_times() return not options.lacks_times, not options.lacks_times end
   return history.new { late = options.late or 2.5, catalogue = options.catalogue or TAURUS,
-    buses = { lacks_times = lacks_times, lacks_clock = lacks_times } }
+    buses = { has_times = has_times } }
 end
 
 -- What a list of messages gives in order, what is new and how things stand in one table, delta with it;

@@ -407,21 +407,20 @@ function T.test_the_bus_by_fields()
 end
 
 function T.test_what_the_file_or_its_reader_says()
-  said.log = { has_several = true, drops = { "of the log" }, lacks_times = "log", lacks_clock = "clock",
+  said.log = { has_several = true, drops = { "of the log" }, lacks_times = true, lacks_clock = true,
     stamps_differ = true }
   local buses = buses_of({ is_told = true, lacks_times = false, yapp_interfaces = 0, drops = { "of the file" } })
-  lu.assertEquals({ buses:drops(), buses:lacks_times(), buses:lacks_clock(), buses:stamps_differ(),
-    buses:are_several() },
-    { { "of the file" }, false, false, true, true })
+  lu.assertEquals({ buses:drops(), buses:stamps_differ(), buses:are_several(), buses:has_times() },
+    { { "of the file" }, true, true, true, true })
   package.loaded["yapp.host.buses"] = nil
   buses = buses_of({ is_told = false, yapp_interfaces = 0 })
-  lu.assertEquals({ buses:drops(), buses:lacks_times(), buses:lacks_clock() }, { { "of the log" }, "log", "log" })
-  said.log = { lacks_clock = "clock" }
-  lu.assertEquals({ buses:drops(), buses:lacks_clock(), buses:stamps_differ() }, { {}, "clock", false })
+  lu.assertEquals({ buses:drops(), buses:has_times() }, { { "of the log" }, false, false })
+  said.log = { lacks_clock = true }
+  lu.assertEquals({ buses:drops(), buses:stamps_differ(), buses:has_times() }, { {}, false, true, false })
   package.loaded["yapp.host.buses"] = nil
   buses = buses_of({ is_told = true, lacks_times = true, yapp_interfaces = 0, start = 100, has_several = true,
     stamps_differ = true })
-  lu.assertEquals({ buses:lacks_times(), buses:stamps_differ(), buses:are_several() }, { true, true, true })
+  lu.assertEquals({ buses:stamps_differ(), buses:are_several(), buses:has_times() }, { true, true, false, false })
   lu.assertEquals(buses:time { abs_ts = 102.5, rel_ts = 7 }, 2.5)
   buses.seen.start = nil
   buses:init()

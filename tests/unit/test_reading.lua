@@ -25,8 +25,7 @@ local LENGTHS = { [MOTOR] = 32, [HEALTH] = 17, [COMMAND] = 7 } -- of payloads, a
 local function new_capture(with)
   local types, buses = types_of.new(TAURUS), {
     name = function(_, bus) return bus and "can" .. bus - 1 or nil end,
-    lacks_times = function() return false end,
-    lacks_clock = function() return false end,
+    has_times = function() return true, true end,
     stamps_differ = function() return true end,
   }
   types:use(catalogue_of.assign(TAURUS, {}), (sources.parse("", TAURUS)), {}, function() end)

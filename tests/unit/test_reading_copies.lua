@@ -10,7 +10,7 @@ local MOTOR = { id = 0x210, type = { every = 0.1 } }
 
 local function new(lacks_clock, stamps_differ)
   return copies_of.new {
-    lacks_clock = function() return lacks_clock or false end,
+    has_times = function() return true, not lacks_clock end,
     stamps_differ = function() return stamps_differ or false end,
   }
 end

@@ -50,8 +50,8 @@ end
 
 local function new(options)
   options = options or {}
-  local buses = { lacks_times = function() return options.lacks_times end,
-    lacks_clock = function() return options.lacks_times or options.lacks_clock end }
+  local buses = {}
+  function buses.has_times() return not options.lacks_times, not (options.lacks_times or options.lacks_clock) end
   return history.new { late = 2.5, catalogue = TAURUS, buses = buses }
 end
 

@@ -69,8 +69,7 @@ end
 local function new_stat(is_gui)
   local buses = stand_in("buses", { found = {}, time_name = "rel_ts", start = -100 })
   function buses.drops() return { "of the buses" } end
-  function buses.lacks_times() return wireshark.lacks_times end
-  function buses.lacks_clock() return "lacks_clock" end
+  function buses.has_times() return not wireshark.lacks_times, wireshark.has_clock end
   function buses.time(_, pinfo) return pinfo.rel_ts + 100 end
   function buses.missed_file() return wireshark.is_reloaded end
   local reading = stand_in("reading", {})
@@ -152,13 +151,13 @@ local function window(total)
 end
 
 function T.test_what_the_end_is_told()
-  wireshark.lacks_times = "no times"
+  wireshark.lacks_times, wireshark.has_clock = true, false
   local stat = window()
   lu.assertEquals({ stat:run("yapp,faults") }, { "", {} })
   lu.assertEquals(seen.capture, {
     unfinished = { "unfinished", "results" },
     drops = { "of the buses", "of streams" },
-    lacks_times = "no times",
+    lacks_times = true,
     options = { "-d some" },
     certain = { "-d certain" },
     notes = { "a note" },
@@ -167,7 +166,7 @@ function T.test_what_the_end_is_told()
     problems = {},
   })
   lu.assertEquals(seen.may_go_on, true) -- packets may be revisited
-  lu.assertEquals(seen.packets[3], { 3, 100.3, "lacks_clock" })
+  lu.assertEquals(seen.packets[3], { 3, 100.3, true })
   lu.assertEquals(seen.added[2].what, "faults")
 end
 

@@ -189,17 +189,15 @@ function Buses:drops()
   return drops[1] and drops or file_readers.log().drops or {}
 end
 
---- Return whether packets of the capture have no time stamps.
-function Buses:lacks_times()
+--- Return whether packets of the capture have time stamps, and whether these tell when packets were
+-- captured: those of controllers do not.  A reader of ours knows it with the first packet.
+function Buses:has_times()
   local found = self.found
-  if found.is_told then return found.lacks_times end -- no reader of ours reads it
-  return found.lacks_times or file_readers.log().lacks_times
-end
-
---- Return whether nothing tells when packets were captured: they have no times, or those of
--- controllers.
-function Buses:lacks_clock()
-  return self:lacks_times() or not self.found.is_told and file_readers.log().lacks_clock
+  local has_times = not found.lacks_times
+  if found.is_told then return has_times, has_times end -- no reader of ours reads it
+  local log = file_readers.log()
+  has_times = has_times and not log.lacks_times
+  return has_times, has_times and not log.lacks_clock
 end
 
 --- Return whether the first packets of the file have different time stamps: then these mean

@@ -40,7 +40,7 @@ History.__index = History
 --- Make the history of one pass over one capture.
 -- options  { catalogue = compiled,
 --            late = periods of a message that a gap must exceed to be late,
---            buses = a host.buses, asked whether the capture lacks times or a clock }
+--            buses = a host.buses, asked whether the capture has times and a clock }
 function M.new(options)
   local self = setmetatable({
     options = options,
@@ -57,7 +57,7 @@ end
 local function new_source(self, message)
   local of_type, bus = message.source.type or NO_TYPE, message.source.bus_key or false
   local options, answered = self.options, self.commands[of_type.answers]
-  local has_times = not options.buses:lacks_times()
+  local has_times, has_clock = options.buses:has_times()
   local answering = self.commands[of_type.name]
   return {
     -- Its message type:
@@ -65,7 +65,7 @@ local function new_source(self, message)
     period = of_type.every or 0,
     longest = has_times and options.late * (of_type.every or huge) + HALF_NANOSECOND or huge,
     has_times = has_times,
-    has_clock = not options.buses:lacks_clock(),
+    has_clock = has_clock,
     -- The previous good message:
     time = nil, -- seconds of the capture
     seq = nil, -- the newest

@@ -21,10 +21,11 @@ local Copies = {}
 Copies.__index = Copies
 
 --- Make the finder of one capture.
--- buses  a host.buses, asked whether the capture lacks times or a clock
+-- buses  a host.buses, asked whether the capture has times and a clock
 function M.new(buses)
+  local _, has_clock = buses:has_times()
   return setmetatable({
-    is_timed = not buses:lacks_clock(),
+    is_timed = has_clock,
     -- If not, at the time of the first packet it is not known yet whether times advance.
     stamps_differ = buses:stamps_differ(),
     by_source = {}, -- [source] = its latest messages that are no copies, see new_list

@@ -121,7 +121,7 @@ end
 local function tap_packets(self)
   local tap, clock, is_waiting = add_tap(self), tap_clock(self), IS_TSHARK
   local calls, buses, deferral = self.calls, self.buses, self.deferral
-  local function lacks_clock() return buses:lacks_clock() end
+  local function lacks_clock() return not select(2, buses:has_times()) end
 
   -- Every packet comes here, so nothing else is called that need not be.
   function tap.packet(pinfo, tvb)
@@ -191,7 +191,7 @@ local function finish(self)
   return self.queue:finish {
     unfinished = self.intake:finish(reading:finish(MAY_GO_ON)),
     drops = joined(buses:drops(), reading:drops()),
-    lacks_times = buses:lacks_times(),
+    lacks_times = not buses:has_times(),
     options = options,
     certain = certain,
     notes = self.notes(),
