@@ -62,6 +62,7 @@ function T.test_what_is_wrong_with_a_message_is_said()
     { { derived = { { "d", "f*f" } } }, "message m: derived d has no title" },
     { { [1] = { "f", "bool", "F" }, [2] = { "v", "variants", by = "f", cases = { [2] = {} } } },
       "field v: value 2 does not fit the type bool" },
+    { { [1] = { "f", "uint8", "F" }, [2] = { "v", "variants", by = "f" } }, "field v: cases is missing" },
     { { size = 8, [1] = { "f", "uint64", "F" }, [2] = { "v", "variants", by = "f", cases = {} } },
       'field v: by "f" is not an earlier integer' },
     { { derived = { { "d", "f*f", "D", units = "V" } } }, 'unknown option "units"; derived d has unit' },

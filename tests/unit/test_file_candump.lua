@@ -123,6 +123,24 @@ local function assert_same_again(text)
   end
 end
 
+-- Local times go back by an hour when summer time ends: here on a day when the reader's do not.
+function T.test_the_hour_that_summer_time_repeats()
+  local function seconds(...)
+    local text, list = screen({ ... }), {}
+    assert_same_again(text)
+    for i, found in ipairs(frames_of(text)) do list[i] = found.seconds end
+    for i = #list, 1, -1 do list[i] = list[i] - list[1] end
+    return list
+  end
+  local first, back = "2026-01-15 02:59:59.000000", "2026-01-15 02:00:00.000000"
+  local half, later = "2026-01-15 02:30:00.000000", "2026-01-15 03:59:59.000000"
+  lu.assertEquals(seconds(first, back, half, "2026-01-15 03:29:59.000000"), { 0, 1, 1801, 5400 })
+  lu.assertEquals(seconds(first, back, first, later), { 0, 1, 3600, 3600 }) -- the reader's own hour, or a pause
+  lu.assertEquals(seconds(later, first, back), { 0, 0, 1 }) -- just an hour, and another one
+  lu.assertEquals(seconds(later, "2026-01-15 02:59:58.000000", back), { 0, -3601, -7199 + 3600 }) -- no summer time's
+  lu.assertEquals(seconds(first, half), { 0, -1799 }) -- nor is half an hour
+end
+
 function T.test_reading_again()
   local stamps, buses = {}, {}
   for i = 1, levels.size(200, 500) do

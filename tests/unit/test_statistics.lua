@@ -1129,7 +1129,7 @@ function T.test_sizes_that_no_preference_decodes()
     "1 message was not decoded: 0x11170 (11 bytes, the size of Motor Data)")
   local many = {}
   for i = 1, 40 do many[i] = unknown(i, "", i, 20 + i) end
-  lu.assertStrContains(said(many)[2], "0x1e (50 bytes, the size of no known message); and 10 more")
+  lu.assertEquals(said(many)[2]:match("0x1e .*"), "0x1e (50 bytes, the size of no known message); and 10 more")
 end
 
 function T.test_a_yapp_ctl_other_than_0()

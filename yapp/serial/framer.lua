@@ -133,7 +133,7 @@ end
 -- Return whether a header may be that of a message, its size, and whether its ID is known.
 local function read_header(self, text, index)
   local id, size, reserved = frame.parse(text, index)
-  if not id or reserved ~= 0 or id > frame.MAX_ID then return false, size, false end
+  if not id or reserved ~= 0 or id > frame.MAX_ID then return false, size end
   local known, smallest = self.size_of(id)
   local fits = not known or size <= known and size >= (smallest or known)
   return fits, size, known ~= nil
