@@ -15,6 +15,7 @@ local function be(value, size) return le(value, size):reverse() end
 
 local SECTION, INTERFACE, OBSOLETE, SIMPLE, STATISTICS, ENHANCED = 0x0A0D0D0A, 1, 2, 3, 5, 6
 local CAN, ETHERNET, PPI, RTAC, SLL, SLL2, EXPORTED = 227, 1, 192, 250, 113, 276, 252
+local WLAN = 105
 
 local function pcap(linktype, packets, number, magic)
   local text = { magic or number(0xA1B2C3D4, 4), number(2, 2), number(4, 2), ("\0"):rep(8),
@@ -144,6 +145,7 @@ function T.test_buses()
       { pcapng({ CAN, CAN }, { { 1, "x" }, { 0, "x" }, { 1, "x" } }, number), "2 1 2" },
       { pcapng({ ETHERNET, ETHERNET, CAN }, { { 0, "x" }, { 2, "x" } }, number), "" },
       { pcapng({ ETHERNET, CAN, 162 }, { { 0, "x" }, { 2, "x" }, { 1, "x" } }, number), "0 2 1" },
+      { pcapng({ WLAN, CAN, 162 }, { { 0, "x" }, { 2, "x" }, { 1, "x" } }, number), "0 2 1" },
       { pcapng({ EXPORTED, 147 }, { { 0, "x" } }, number), "1" },
       { pcapng({ SLL2, CAN }, { { 0, can_over_sll2(5) }, { 0, can_over_sll2(6) }, { 1, "x" } },
         number), "2 3 1" },
@@ -164,6 +166,18 @@ function T.test_buses()
         lu.assertTrue(found.is_told)
       end
     end
+  end
+end
+
+function T.test_options_of_serial_lines()
+  for wanted, linktypes in pairs {
+    [""] = { CAN, ETHERNET, EXPORTED, SLL2 },
+    ["-o yapp.user_dlt:147"] = { 147, CAN },
+    ["-d rtacser.data,yapp_serial"] = { RTAC },
+    ["-o yapp.user_dlt:147,149,162 -d rtacser.data,yapp_serial"] = { 162, RTAC, 147, CAN, 149 },
+  } do
+    local found = read(pcapng(linktypes, { { 0, "x" } }, le))
+    lu.assertEquals(table.concat(found:serial_options(), " "), wanted)
   end
 end
 

@@ -420,7 +420,6 @@ end
 
 local function read_pcap(self, window, is_little, fractions)
   window.is_little = is_little
-  if not window:has(0, 24) then return end
   local linktype = window:number(20, 4) % 0x10000 -- above it: the length of check sequences
   local interface, offset = pcap_interface(self, linktype), 24
   self.offset = linktype == SOCKETCAN and 8 or nil
