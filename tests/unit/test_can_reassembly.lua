@@ -417,6 +417,17 @@ function T.test_a_read_filter()
   lu.assertEquals(found.message[3] % 1, 0.5) -- no frame has this key
 end
 
+-- The last frame of a message with a fault is dropped.
+function T.test_a_read_filter_that_drops_a_fault()
+  local known, frames = words.new(), words.frames("S32 M8 M8 M8 E8 S32 M8 M8 M8 E8", { ids = MOTOR })
+  words.visits(known, frames)
+  drop(known, 10)
+  for i, frame in ipairs(frames) do
+    local _, found = words.visit(known, frame, true)
+    if i < 10 then lu.assertEquals({ i, found.message.has_fault }, { i, i > 5 }) end
+  end
+end
+
 -- The last frame is dropped: nothing shows the message, and its number is another's.
 function T.test_a_read_filter_that_drops_the_last_frame()
   local known = words.new()

@@ -119,10 +119,12 @@ end
 
 --- Return a function(raw) -> the text of a number, nil where there is none, and then which special.
 function M.new_number_text(field)
+  local value_of, shape = M.BY_NAME[field.kind].value, field.shape
   return function(raw)
-    local value, special = M.value(field, raw)
+    local value, special = raw, nil
+    if value_of then value, special = value_of(field, raw) end
     if not value then return nil, special end
-    return M.number_text(field, value)
+    return shape and format(shape, value) or M.number_text(field, value)
   end
 end
 

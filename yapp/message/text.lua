@@ -149,6 +149,7 @@ end
 --- Return the filter names of the flags that are set, undefined bits as one number:
 -- "motor_overcurrent, hall_timeout, undefined 0x80000".
 function M.flag_names(field, raw)
+  if raw == 0 then return "" end
   if raw == field.named then return field.names end -- cached: they seldom change
   local names = {}
   for _, flag in ipairs(field.flags) do

@@ -39,8 +39,7 @@ local function add_item(self, frame)
   local builder, fields, of_id, source = self.builder, self.fields, frame.can_id, frame.source
   local kind = CTRL_NAMES[of_id.ctrl] or "undefined frame"
   self.range = self.tvb()
-  local item = add(self.tree, builder.yapp, self.range)
-  append_text(item, (", %s, %s"):format(source.short, kind))
+  local item = builder:add_item(self.tree, self.range, source.short .. ", " .. kind)
   builder:add_id(item, nil, source)
   set_generated(add(item, fields.ctl, of_id.ctl))
   set_generated(add(item, fields.seq, of_id.seq))

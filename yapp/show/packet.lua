@@ -40,8 +40,7 @@ end
 local function add_item(self, result, tvb)
   local builder, fields, transfer = self.builder, self.fields, result.transfer
   local source, offset, payload = result.frame.source, transfer.offset, transfer.payload
-  local item = add(self.tree, builder.yapp, tvb(offset, transfer.length))
-  append_text(item, (", %s"):format(source.short))
+  local item = builder:add_item(self.tree, tvb(offset, transfer.length), source.short)
   add(item, fields.sync, tvb(offset, 2))
   add(item, fields.seq, tvb(offset + 2, 1))
   add(item, fields.ctl, tvb(offset + 3, 1))
@@ -110,8 +109,7 @@ local function show_skipped(self, result, packet, tvb)
   local text = quote(finding.bytes or sub(packet.bytes, offset + 1, offset + length))
   local size = builder.bytes_text(length)
   if self.wants.tree then
-    item = add(item, builder.yapp, tvb(offset, length))
-    append_text(item, (", %s skipped"):format(size))
+    item = builder:add_item(item, tvb(offset, length), size .. " skipped")
     append_text(add(item, self.fields.skipped, tvb(offset, length)), text)
   end
   local expert = size .. " that belong to no frame" .. text:gsub("^ ", ": ")
@@ -133,8 +131,7 @@ local function show_pending(self, packet, contents, tvb)
   local leads_to = contents.leads_to and frame_key.number(contents.leads_to)
   if self.wants.tree then
     local range = tvb(#packet.bytes - pending, pending)
-    item = add(item, builder.yapp, range)
-    append_text(item, ", part of a frame")
+    item = builder:add_item(item, range, "part of a frame")
     add(item, fields["fragment.data"], range)
     if leads_to then set_generated(add(item, fields["reassembled.in"], leads_to)) end
   end

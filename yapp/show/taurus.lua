@@ -166,7 +166,8 @@ local function add_state_steps(self, of_type, tree, plan)
   for _, row in ipairs(STATES) do
     local pf = self.fields[of_type.states[row[1]]]
     if pf and referenced(tree, pf) then
-      table.insert(plan.states, { name = row[1], show = row[2], is_fault = row[3], pf = pf })
+      local states = row[3] and plan.fault_states or plan.other_states
+      table.insert(states, { name = row[1], show = row[2], pf = pf })
     end
   end
   local pf = self.fields[of_type.fault_names]
@@ -175,9 +176,11 @@ end
 
 -- Return the plan of a message type's tree: a list of steps { field, index, parent = index of the
 -- field that it is a part of, add = see ADD }; own = true if the message's field is wanted; and the
--- wanted ones of generated, rounded, states = lists; names = ProtoField of the names of faults.
+-- wanted ones of generated, rounded, fault_states, other_states = lists; names = ProtoField of the
+-- names of faults.
 local function make_plan(self, of_type, tree)
-  local plan, fields = { generated = {}, rounded = {}, states = {} }, self.fields
+  local fields = self.fields
+  local plan = { generated = {}, rounded = {}, fault_states = {}, other_states = {} }
   plan.own = referenced(tree, fields[of_type.filter])
   for index, field in ipairs(of_type.fields) do
     local wanted = wanted_of(self, tree, field.filters)
@@ -260,10 +263,11 @@ local function changes_text(message, active)
 end
 
 -- Add states.
--- is_fault  true if those about faults, or the others
-local function add_states(message, plan, item, is_fault)
-  for _, step in ipairs(message.state and plan.states or NONE) do
-    local value = step.is_fault == is_fault and message.state[step.name]
+-- steps  of a plan
+local function add_states(state, steps, item)
+  for i = 1, state and #steps or 0 do
+    local step = steps[i]
+    local value = state[step.name]
     if value then set_generated(add(item, step.pf, step.show(value))) end
   end
 end
@@ -286,7 +290,7 @@ local function add_faults(message, plan, tree, top)
       item = set_generated(add(top, "Faults: none" .. here))
     end
   end
-  add_states(message, plan, item or top, true)
+  add_states(message.state, plan.fault_states, item or top)
   return item
 end
 
@@ -326,7 +330,7 @@ local function build_tree(self, message, view)
     end
   end
   add_generated_values(self, message, plan, top)
-  add_states(message, plan, top, false)
+  add_states(message.state, plan.other_states, top)
   return top, items, above
 end
 
@@ -411,14 +415,14 @@ end
 -- returns  the texts at the begin and at the end of the Info column
 function Taurus:show(message, view)
   local top, items, above = nil, NONE, nil
-  local change, item = message.change or NONE, view.item
+  local change, item = message.change, view.item
   if message.raws and view.payload_tvb and message.payload ~= "" then
     top, items, above = build_tree(self, message, view)
     item = top
   end
   add_remarks(message, items, item, above)
-  local words = add_changes(self, change, top, item, above)
-  return view.wants.columns and faults_text(message, change) or "", words
+  local words = change and add_changes(self, change, top, item, above) or ""
+  return view.wants.columns and faults_text(message, change or NONE) or "", words
 end
 
 return M

@@ -38,6 +38,7 @@ Tree.MARKS = {
 function M.new(options)
   return setmetatable({
     yapp = options.yapp,
+    label = options.yapp.description .. ", ", -- of its items, see Tree:add_item
     taurus = options.taurus,
     reading = options.reading,
     messages = messages_of.new(options.taurus, options.catalogue.messages, options.taurus_fields),
@@ -136,6 +137,12 @@ end
 
 -- Items of YAPP's ---------------------------------------------------------------------------------
 
+--- Add YAPP's own item, and return it.
+-- text  behind the name of the protocol
+function Tree:add_item(tree, range, text)
+  return add(tree, self.yapp, range, self.label .. text)
+end
+
 --- Add an expert item of YAPP's.
 -- name  its filter without "yapp."
 -- text  see show.fields, add_expert
@@ -177,7 +184,8 @@ function Tree:add_fragments(item, whole, keys, length, payload)
   local fields = self.fields
   local list = set_generated(add(item, fields.fragments, whole))
   list:set_text(("%d fragments (%d bytes)"):format(#keys, length))
-  for _, key in ipairs(keys) do
+  for i = 1, #keys do
+    local key = keys[i]
     if key % 1 == 0 then set_generated(add(list, fields.fragment, number_of(key))) end
   end
   set_generated(add(list, fields["fragment.count"], #keys))
