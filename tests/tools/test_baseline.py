@@ -240,12 +240,11 @@ def test_flags_that_were_never_set(tmp_path):
 
 
 def test_ratios():
-    """10 A beside 8 and 7 A are 1.333 times their mean; a mean near 0 gives no ratio."""
-    sources = [
-        {"source": name, "mean": mean, "max": top} for name, mean, top in (("a", 10, 12), ("b", 8, 9), ("c", 7, 9))
-    ]
+    """10 A beside 8, 7 and 2.5 A are 1.429 times their median; a mean near 0 gives no ratio."""
+    numbers = {"a": (10, 12), "b": (8, 9), "c": (7, 9), "e": (2.5, 9)}
+    sources = [{"source": name, "mean": mean, "max": top} for name, (mean, top) in numbers.items()]
     found = {name: round(float(ratio), 3) for name, ratio in baseline._ratios(sources).items()}
-    assert found == {"a": 1.333, "b": 0.941, "c": 0.778}
+    assert found == {"a": 1.429, "b": 1.143, "c": 0.875, "e": 0.312}
     for mean, top in ((0.9, 90), (-7, 12), (None, None)):
         assert baseline._ratios([*sources, {"source": "d", "mean": mean, "max": top}]) == {}, mean
     assert baseline._ratios(sources[:1]) == {}

@@ -811,19 +811,19 @@ function T.test_unread_packets_may_mend_a_rule()
   lu.assertEquals(judged, 12)
 end
 
--- LEFT has 10 and 14 V, three others 8, 9 and 7 V: 12 is 1.5 times their mean, 7 is 7 / (29 / 3) of theirs.
+-- LEFT has 10 and 14 V, three others 8, 9 and 5 V: 12 is 1.5 times their median, 5 is 5 / 9 of theirs.
 function T.test_ratio()
   local others = {}
   for id = 1, 3 do others[id] = { bus_key = 2, bus = "can1", name = "r" .. id, id = id, type = MOTOR } end
   local records = { record(1, 0), record(2, 1, { source = others[1], payload = payload(8) }),
     record(3, 2, { payload = payload(255) }), record(4, 3, { payload = payload(14) }),
-    record(5, 4, { source = others[2], payload = payload(9) }), record(6, 4, { source = others[3], payload = payload(7) }),
+    record(5, 4, { source = others[2], payload = payload(9) }), record(6, 4, { source = others[3], payload = payload(5) }),
     record(7, 5, { source = HEALTHY, payload = ("\1"):rep(8) }) }
   lu.assertEquals(verdicts("source=left,motor.volts.ratio=1.5..1.5,motor.volts.ratio=1.6..,motor.volts.ratio=..1.4", records), {
     "motor.volts.ratio=1.5..1.5 left true 1.5 null", "motor.volts.ratio=1.6.. left false 1.5 null",
     "motor.volts.ratio=..1.4 left false 1.5 null", "unknown=0 null true 0 null" })
-  local seen = verdicts("motor.volts.ratio=0.7..1.6", records)
-  lu.assertEquals(seen[4], "motor.volts.ratio=0.7..1.6 r3 true 0.72413793103448276 null")
+  local seen = verdicts("motor.volts.ratio=0.5..1.6", records)
+  lu.assertEquals(seen[4], "motor.volts.ratio=0.5..1.6 r3 true 0.55555555555555558 null")
   lu.assertEquals(#seen, 5)
   local function reason(...)
     local printed, code = run({ "check,source=left,motor.volts.ratio=..2" }, { ... })
@@ -833,7 +833,7 @@ function T.test_ratio()
   lu.assertStrContains(reason(record(1, 0), record(2, 0, { source = others[1], payload = payload(255) })),
     "no other source of it has a value")
   lu.assertStrContains(reason(record(1, 0), record(2, 0, { source = others[1], payload = payload(0) })),
-    "the mean of the other sources is 0")
+    "the median of the other sources is 0")
   lu.assertStrContains(reason(record(1, 0, { payload = payload(255) })), "all its values are reserved")
 end
 

@@ -269,6 +269,13 @@ function M.rate(group)
   return length > 0 and (group.count - 1) / length or nil
 end
 
+--- Return the median of numbers, which it sorts.
+function M.median(numbers)
+  table.sort(numbers)
+  local half = #numbers / 2
+  return (numbers[math.floor(half + 0.5)] + numbers[math.floor(half + 1)]) / 2
+end
+
 --- Return a row with the range of a field of a source.
 function M.row(group, values)
   local field, count = values.field, values.count

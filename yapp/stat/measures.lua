@@ -66,18 +66,20 @@ local function measure_mean(group, rule)
   return groups.row(group, values).mean, nil, ("of %d values"):format(values.count)
 end
 
--- Divide the mean of a source by the mean of the other sources' means.
+-- Divide the mean of a source by the median of the other sources' means.
 local function measure_ratio(group, rule, check)
   local own, _, note = measure_mean(group, rule)
   if not own then return nil, nil, note end
-  local sum, count = 0, 0
+  local means = {}
   for _, other in ipairs(check.list) do
-    local mean = other ~= group and other.type == group.type and measure_mean(other, rule)
-    if mean then sum, count = sum + mean, count + 1 end
+    local is_other = other ~= group and other.type == group.type
+    means[#means + 1] = is_other and measure_mean(other, rule) or nil
   end
-  if count == 0 then return nil, nil, "no other source of it has a value" end
-  if sum == 0 then return nil, nil, "the mean of the other sources is 0" end
-  return own * count / sum, nil, ("of %s"):format(output.count(count, "other source"))
+  if not means[1] then return nil, nil, "no other source of it has a value" end
+  note = ("of %s"):format(output.count(#means, "other source"))
+  local middle = groups.median(means)
+  if middle == 0 then return nil, nil, "the median of the other sources is 0" end
+  return own / middle, nil, note
 end
 
 local function measure_reserved(group, rule)
@@ -193,7 +195,7 @@ M.OF_FIELD = {
   {
     name = "ratio",
     text = "MESSAGE.FIELD.ratio=A..B",
-    help = "the mean, divided by that of the other sources, lies within",
+    help = "the mean, divided by the median of the other sources' means, lies within",
     measure = measure_ratio,
     takes_range = true,
     want = function(_, field) return { field = field } end,

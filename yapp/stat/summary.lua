@@ -152,20 +152,13 @@ M.compare = Compare.new
 local FAR, USUAL = 4, 0.02
 local LEAST = { ["°C"] = 1, V = 0.05, A = 0.1, W = 1, RPM = 1 }
 
--- numbers  sorted by it
-local function median(sorted)
-  table.sort(sorted)
-  local half = #sorted / 2
-  return (sorted[math.floor(half + 0.5)] + sorted[math.floor(half + 1)]) / 2
-end
-
 -- Return "▲" or "▼" if a number is far above or below several others, else nil.
 local function far_mark(number, others, unit)
   if #others < 2 then return nil end
-  local middle, distances = median(others), {}
+  local middle, distances = groups.median(others), {}
   for i, other in ipairs(others) do distances[i] = math.abs(other - middle) end
   local least = LEAST[unit or ""] or 0.001
-  local usual = math.max(1.5 * median(distances), USUAL * math.abs(middle), least)
+  local usual = math.max(1.5 * groups.median(distances), USUAL * math.abs(middle), least)
   local away = number - middle
   return math.abs(away) >= FAR * usual and (away > 0 and "▲" or "▼") or nil
 end

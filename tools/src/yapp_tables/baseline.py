@@ -119,13 +119,12 @@ def _extremes(flights: dict[str, list[Record]]) -> dict[tuple[str, str], list[Ex
 
 
 def _ratios(sources: Sequence[Record]) -> dict[str, Decimal]:
-    """Return by source its mean, divided by the mean of the others; nothing where a mean is about 0."""
+    """Return by source its mean, divided by the median of the others' means; nothing where a mean is about 0."""
     means = {each["source"]: Decimal(each["mean"] or 0) for each in sources}
     largest = max(Decimal(each["max"] or 0) for each in sources)
     if len(means) < 2 or largest <= 0 or min(means.values()) < largest * LEAST_LOAD:
         return {}
-    total, others = sum(means.values()), len(means) - 1
-    return {source: mean * others / (total - mean) for source, mean in means.items()}
+    return {one: mean / median(means[other] for other in means if other != one) for one, mean in means.items()}
 
 
 def _least_apart(extremes: dict[tuple[str, str], list[Extreme]]) -> dict[str, tuple[Decimal, Decimal]]:
