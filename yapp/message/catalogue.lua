@@ -23,11 +23,11 @@ local OPTIONS = input.set("name title section id size min_size info info_rest ev
 -- Filters ----------------------------------------------------------------------------------------
 
 -- Return the description of a field, a flag or a generated value.
-local function describe(message, one)
+local function describe(of_type, one)
   local text = one.title
   if one.unit then text = text .. " in " .. one.unit end
   if one.min then text = ("%s, %.10g to %.10g"):format(text, one.min, one.max) end
-  text = text .. ", of " .. message.title
+  text = text .. ", of " .. of_type.title
   if one.section then text = ('%s (section "%s")'):format(text, one.section) end
   return text
 end
@@ -36,13 +36,13 @@ end
 local DIGITS = { RPM = 0, V = 2, A = 2, W = 0, ["°C"] = 0, ["%"] = 0 }
 
 -- Add the filters of a field's flags.
-local function add_flags(message, field, add, about)
+local function add_flags(of_type, field, add, about)
   local title, group = field.title, field.group
   add(group .. ".undefined", "UINT32", "Undefined bits", "Bits that nothing defines: " .. about,
     "HEX")
   for _, flag in ipairs(field.flags) do
     local one = { title = flag.title .. ", one of " .. title, section = field.section }
-    local text = describe(message, one)
+    local text = describe(of_type, one)
     if flag.help then text = text .. ". " .. flag.help end
     add(flag.filter, "BOOLEAN", flag.title, text, field.size * 8, nil, flag.mask)
   end
@@ -55,11 +55,11 @@ local function add_flags(message, field, add, about)
 end
 
 -- Add the filters of a field.
-local function add_field(message, field, add)
-  local title, about = field.title, describe(message, field)
+local function add_field(of_type, field, add)
+  local title, about = field.title, describe(of_type, field)
   local kind, base = field_kinds.BY_NAME[field.kind].filter(field)
   if field.kind == "flags" then
-    add_flags(message, field, add, about)
+    add_flags(of_type, field, add, about)
   elseif field.special then
     local why = "Why there is no number, a reserved count, NaN or infinity: " .. about
     add(field.special, "UINT8", title, why, nil, field_kinds.SPECIALS)
@@ -69,22 +69,22 @@ local function add_field(message, field, add)
 end
 
 -- Add the filters of a message's state, by the names of message.history.
-local function add_state(message, add)
+local function add_state(of_type, add)
   -- Prefer a field of nothing but faults: so filters keep their names if a flag of another field
   -- becomes a fault.
-  local fault, states = message.fault_field or message.alarms[1], message.states
-  if message.time then
-    states.drift = add(message.filter .. ".clock_drift", "RELATIVE_TIME", "Clock drift",
+  local fault, states = of_type.fault_field or of_type.alarms[1], of_type.states
+  if of_type.time then
+    states.drift = add(of_type.filter .. ".clock_drift", "RELATIVE_TIME", "Clock drift",
       "Controller's clock less the capture's since the source's first message or reboot")
   end
-  if message.answers then
-    local command = message.answers:gsub("^%l", string.upper):gsub("_", " ")
-    states.command_in = add(("%s.%s_in"):format(message.filter, message.answers), "FRAMENUM",
+  if of_type.answers then
+    local command = of_type.answers:gsub("^%l", string.upper):gsub("_", " ")
+    states.command_in = add(("%s.%s_in"):format(of_type.filter, of_type.answers), "FRAMENUM",
       ("Latest %s in"):format(command),
       ("The latest %s on this bus before the message"):format(command), nil, "REQUEST")
   end
   if not fault then return end
-  message.fault_names = add(fault.group .. ".active_names", "STRING", "Faults",
+  of_type.fault_names = add(fault.group .. ".active_names", "STRING", "Faults",
     "Names of all fault flags that are set in a message")
   states.active_time = add(fault.group .. ".active_time", "RELATIVE_TIME",
     "Time since the oldest fault was raised",
@@ -103,15 +103,15 @@ local function add_state(message, add)
 end
 
 -- Add the filters of values with as many digits as a column needs.
-local function add_rounded(message, add)
-  for _, list in ipairs { message.fields, message.generated } do
+local function add_rounded(of_type, add)
+  for _, list in ipairs { of_type.fields, of_type.generated } do
     for _, one in ipairs(list) do
       local digits = DIGITS[one.unit or false]
       if digits and one.shape and not one.array then
-        table.insert(message.rounded, {
+        table.insert(of_type.rounded, {
           filter = add(one.filter .. ".rounded", "DOUBLE", one.title,
             ("%s of %s, rounded for a column: not among a packet's details")
-              :format(one.title, message.title)),
+              :format(one.title, of_type.title)),
           field = one,
           shape = ("%%.%df"):format(digits),
         })
@@ -121,39 +121,39 @@ local function add_rounded(message, add)
 end
 
 -- Add all filters of a message.  Raise that a filter is there twice or is reserved.
-local function add_filters(message, reserved, context)
+local function add_filters(of_type, reserved, context)
   local taken, filters = {}, {}
   local function add(filter, ...)
     demand(not (taken[filter] or reserved[filter]), "the filter name %s is taken", filter)
     taken[filter] = true
-    table.insert(message.filters, { filter, ... })
+    table.insert(of_type.filters, { filter, ... })
     filters[#filters + 1] = filter
     return filter
   end
-  add(message.filter, "NONE", message.title, "A whole message: " .. message.title)
-  add_state(message, add)
-  for _, item in ipairs(message.generated) do
-    add(item.filter, "DOUBLE", item.title, describe(message, item))
+  add(of_type.filter, "NONE", of_type.title, "A whole message: " .. of_type.title)
+  add_state(of_type, add)
+  for _, item in ipairs(of_type.generated) do
+    add(item.filter, "DOUBLE", item.title, describe(of_type, item))
   end
-  for _, field in ipairs(message.fields) do
+  for _, field in ipairs(of_type.fields) do
     local array = field.array or field -- its elements share the filters
     context.field, filters = field.name, {}
     if not array.filters then
-      add_field(message, array, add)
+      add_field(of_type, array, add)
       array.filters = filters
     end
     field.filters = array.filters
   end
   context.field = nil
-  add_rounded(message, add)
+  add_rounded(of_type, add)
 end
 
 -- Generated values -------------------------------------------------------------------------------
 
 -- Return a field of numbers of a message.
 -- what  the item that needs it: "derived dc_power"
-local function number_field(message, what, name)
-  local field = message.by_name[name]
+local function number_field(of_type, what, name)
+  local field = of_type.by_name[name]
   demand(field and field_kinds.is_number(field), "%s: %s is no field of numbers", what, shown(name))
   return field
 end
@@ -161,7 +161,7 @@ end
 -- Add a value that is worked out from two fields.
 -- text     "field * field"
 -- returns  the item of message.generated
-local function add_generated(message, what, name, text, title, unit)
+local function add_generated(of_type, what, name, text, title, unit)
   local a, operator, b = tostring(text):match("^ *([%w_]+) *([*+-]) *([%w_]+) *$")
   demand(a, '%s: %s is not two fields with *, + or - between them: "voltage * current"', what,
     shown(text))
@@ -169,27 +169,27 @@ local function add_generated(message, what, name, text, title, unit)
     name = name,
     title = title,
     unit = unit,
-    filter = message.filter .. "." .. name,
+    filter = of_type.filter .. "." .. name,
     kind = "derived",
     shape = "%.7g",
     operator = operator,
-    a = number_field(message, what, a),
-    b = number_field(message, what, b),
+    a = number_field(of_type, what, a),
+    b = number_field(of_type, what, b),
   }
-  table.insert(message.generated, item)
+  table.insert(of_type.generated, item)
   return item
 end
 
 -- differences: { name, field, field, title }; derived: { name, "field * field", title, unit = }
-local function add_all_generated(message, entry)
+local function add_all_generated(of_type, entry)
   for i, row in ipairs(entry.differences or {}) do
-    local what, first = input.row(row, "difference", i, 4, {}), message.by_name[row[2] or false]
+    local what, first = input.row(row, "difference", i, 4, {}), of_type.by_name[row[2] or false]
     local text = ("%s - %s"):format(row[2], row[3])
-    add_generated(message, what, row[1], text, row[4], first and first.unit)
+    add_generated(of_type, what, row[1], text, row[4], first and first.unit)
   end
   for i, row in ipairs(entry.derived or {}) do
     local what = input.row(row, "derived", i, 3, DERIVED_OPTIONS)
-    message.derived[i] = add_generated(message, what, row[1], row[2], row[3], row.unit)
+    of_type.derived[i] = add_generated(of_type, what, row[1], row[2], row[3], row.unit)
   end
 end
 
@@ -212,7 +212,7 @@ end
 -- context  the subject of errors: context.field is set to the name of the current field, or nil
 local function compile_message(entry, reserved, context)
   check_head(entry)
-  local message = {
+  local of_type = {
     name = entry.name,
     title = entry.title,
     section = entry.section,
@@ -232,17 +232,17 @@ local function compile_message(entry, reserved, context)
     states = {},
     filters = {},
   }
-  local size = fields.compile(message, entry, context)
+  local size = fields.compile(of_type, entry, context)
   demand(size == entry.size, "size is %d, but the fields add up to %d bytes", entry.size, size)
-  function message.read(payload)
-    message.read = decode.new_reader(message) -- now: most captures have no YAPP
-    return message.read(payload)
+  function of_type.read(payload)
+    of_type.read = decode.new_reader(of_type) -- now: most captures have no YAPP
+    return of_type.read(payload)
   end
-  message.info = text_of.compile_info(message, entry.info or "")
-  message.info_rest = text_of.compile_info(message, entry.info_rest or entry.info or "")
-  add_all_generated(message, entry)
-  add_filters(message, reserved, context)
-  return message
+  of_type.info = text_of.compile_info(of_type, entry.info or "")
+  of_type.info_rest = text_of.compile_info(of_type, entry.info_rest or entry.info or "")
+  add_all_generated(of_type, entry)
+  add_filters(of_type, reserved, context)
+  return of_type
 end
 
 -- All messages -----------------------------------------------------------------------------------
@@ -254,11 +254,11 @@ local function add_message(catalogue, entry, reserved, context)
   context.message = name
   demand(not catalogue.names[name], "the name is there twice")
   catalogue.names[name] = true
-  local message = compile_message(entry, reserved, context)
-  local other = catalogue.by_id[message.id]
-  demand(not other, "id 0x%X is that of message %s", message.id, other and other.name)
-  catalogue.messages[#catalogue.messages + 1] = message
-  catalogue.by_id[message.id] = message
+  local of_type = compile_message(entry, reserved, context)
+  local other = catalogue.by_id[of_type.id]
+  demand(not other, "id 0x%X is that of message %s", of_type.id, other and other.name)
+  catalogue.messages[#catalogue.messages + 1] = of_type
+  catalogue.by_id[of_type.id] = of_type
 end
 
 --- Check a catalogue and compile it.
@@ -315,8 +315,8 @@ end
 --- Return those of a list of messages that may have a payload of this size, in bytes.
 function M.of_size(messages, size)
   local list = {}
-  for _, message in ipairs(messages) do
-    if size >= message.min_size and size <= message.size then list[#list + 1] = message end
+  for _, of_type in ipairs(messages) do
+    if size >= of_type.min_size and size <= of_type.size then list[#list + 1] = of_type end
   end
   return list
 end
@@ -328,13 +328,13 @@ end
 --            keeps it
 function M.assign(catalogue, ids)
   local by_id, problems = {}, {}
-  for _, message in ipairs(catalogue.messages) do
-    for _, id in ipairs(ids[message.name] or { message.id }) do
-      local other = by_id[id] or message
+  for _, of_type in ipairs(catalogue.messages) do
+    for _, id in ipairs(ids[of_type.name] or { of_type.id }) do
+      local other = by_id[id] or of_type
       by_id[id] = other
-      if other ~= message then
+      if other ~= of_type then
         problems[#problems + 1] = ("ID 0x%X is given to %s and to %s: it stays with %s")
-          :format(id, other.title, message.title, other.title)
+          :format(id, other.title, of_type.title, other.title)
       end
     end
   end

@@ -115,18 +115,18 @@ end
 
 -- Make the field of a row, or of a part of bits, without its offset.
 -- def  of TYPES; for a part of bits also `type`: the name of the field's type
-local function new_field(message, row, def)
+local function new_field(of_type, row, def)
   local field = {
     name = row[1],
     title = row[3],
     type = def.type or row[2],
     kind = def.kind,
-    filter = message.filter .. "." .. row[1],
+    filter = of_type.filter .. "." .. row[1],
     size = def.size or length_of(row),
     top = def.top,
     bottom = def.bottom,
     unit = row.unit,
-    section = row.section or message.section,
+    section = row.section or of_type.section,
     values = row.values,
   }
   local invalid = row.invalid or "value.invalid"
@@ -143,16 +143,16 @@ end
 
 -- Put a field at its offset in the message.
 local function add_field(build, field)
-  local message, offset = build.message, build.offset
-  local min_size, name = message.min_size, field.name
-  demand(not message.by_name[name], "the name is there twice")
+  local of_type, offset = build.type, build.offset
+  local min_size, name = of_type.min_size, field.name
+  demand(not of_type.by_name[name], "the name is there twice")
   demand(min_size <= offset or min_size >= offset + field.size, "min_size %d ends inside it",
     min_size)
   field.offset, field.when = offset, build.when
-  table.insert(message.fields, field)
-  field.index = #message.fields
-  message.by_name[name] = field
-  if field.kind == "time" and not build.when then message.time = message.time or field end
+  table.insert(of_type.fields, field)
+  field.index = #of_type.fields
+  of_type.by_name[name] = field
+  if field.kind == "time" and not build.when then of_type.time = of_type.time or field end
 end
 
 -- Flags and parts of bits ------------------------------------------------------------------------
@@ -184,14 +184,14 @@ local function add_flag(field, row, i)
 end
 
 -- Make a part of a field: a field with a mask, whose counts begin at the mask's lowest bit.
-local function new_part(message, field, row, i)
+local function new_part(of_type, field, row, i)
   local what = define_bits(field, row, "bits", i, PART_OPTIONS)
   local mask, low = row[2], 1
   while mask % (2 * low) == 0 do low = low * 2 end
   local top = mask / low
   demand(band(top, top + 1) == 0, "%s: the bits of mask 0x%X are not side by side", what, mask)
   field.watched = field.watched - mask
-  local part = new_field(message, row,
+  local part = new_field(of_type, row,
     { kind = "uint", type = field.type, size = field.size, bottom = 0, top = top })
   part.inside, part.mask, part.low = field, mask, low
   return part
@@ -199,29 +199,29 @@ end
 
 -- Turn a field that is at its offset already into one of flags, of parts, or of both.
 local function add_bits(build, field, row)
-  local message, word = build.message, row.alarm
+  local of_type, word = build.type, row.alarm
   local group = row.group or not row.flags and field.name
   demand(is_name(group), "flags need a group, a name for their filters")
   demand(word == nil or is_text(word), "alarm is a word, for a field with flags")
   demand(not row.values, "a field has values or flags, not both")
   field.kind = "flags"
-  field.group = message.filter .. "." .. group
+  field.group = of_type.filter .. "." .. group
   field.flags = {}
   field.alarm_bits = 0
   field.undefined = field.top
   field.watched = field.top
   for i, flag in ipairs(row.flags or {}) do add_flag(field, flag, i) end
   for i, part in ipairs(row.bits or {}) do
-    add_field(build, new_part(message, field, part, i))
+    add_field(build, new_part(of_type, field, part, i))
   end
-  table.insert(message.flag_fields, field)
+  table.insert(of_type.flag_fields, field)
   if word then
     field.alarm_bits = field.watched
-    message.fault_field = message.fault_field or field
+    of_type.fault_field = of_type.fault_field or field
   end
   if field.alarm_bits == 0 then return end
   field.fault_word = word or "FAULT"
-  table.insert(message.alarms, field)
+  table.insert(of_type.alarms, field)
 end
 
 -- Rows -------------------------------------------------------------------------------------------
@@ -244,7 +244,7 @@ local add_rows
 
 -- The cases lie over one another, as in a union of C: the longest says where the message goes on.
 local function add_variants(build, row)
-  local by = build.message.by_name[row.by or false]
+  local by = build.type.by_name[row.by or false]
   demand(by and field_kinds.BY_NAME[by.kind].is_integer and by.size <= 4 and not by.cases,
     "by %s is not an earlier integer of the message, one for each row of variants", shown(row.by))
   demand(not build.when, "variants are not for a case of others")
@@ -279,7 +279,7 @@ local function add_row(build, row)
     return
   end
   demand(is_text(row[3]), "the title is missing")
-  local field = new_field(build.message, row, def)
+  local field = new_field(build.type, row, def)
   local has_bits = row.flags or row.bits
   demand(has_bits or not (row.group or row.alarm),
     "group and alarm are for a field with flags")
@@ -301,11 +301,11 @@ function add_rows(build, rows)
 end
 
 --- Compile the rows of a message into its fields, by_name, time, flag_fields and alarms.
--- message  its compiled head, with these tables, empty
+-- of_type  its compiled head, with these tables, empty
 -- context  the subject of errors: context.field is set to the name or number of the current row
 -- returns  the sum of the sizes in bytes.  It raises errors.
-function M.compile(message, rows, context)
-  local build = { message = message, context = context, offset = 0, when = nil }
+function M.compile(of_type, rows, context)
+  local build = { type = of_type, context = context, offset = 0, when = nil }
   add_rows(build, rows)
   context.field = nil
   return build.offset

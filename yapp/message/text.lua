@@ -110,8 +110,8 @@ end
 
 -- Return the piece of a field, and " V" if its unit follows, else nil.
 -- rest  the text behind its name: ":%.1f unit"
-local function info_piece(message, name, rest)
-  local field = message.by_name[name]
+local function info_piece(of_type, name, rest)
+  local field = of_type.by_name[name]
   input.demand(field, "info names a field %s that is not there", input.shown(name))
   local before = rest:match("^(.-) unit$")
   local shape = (before or rest):gsub("^:", "")
@@ -133,13 +133,13 @@ end
 -- text     "{name:%.1f unit}" is "47.3 V"; "{name}" is without the unit, and with as many digits as
 --          make sense
 -- returns  pieces for M.writer_of.  It raises errors.
-function M.compile_info(message, text)
+function M.compile_info(of_type, text)
   local pieces, index = {}, 1
   while index do
     local from, to, name, rest = text:find("{([%w_]+)([^}]*)}", index)
     local unit = nil
     pieces[#pieces + 1] = text:sub(index, (from or 0) - 1)
-    if from then pieces[#pieces + 1], unit = info_piece(message, name, rest) end
+    if from then pieces[#pieces + 1], unit = info_piece(of_type, name, rest) end
     pieces[#pieces + 1] = unit or nil
     index = to and to + 1
   end
@@ -170,9 +170,9 @@ end
 --- Return the text of the Info column about the faults that are set:
 -- "FAULT motor_overcurrent, faulted", "" for none.
 -- raws  of the message's reader
-function M.faults(message, raws)
+function M.faults(of_type, raws)
   local text, word = "", nil
-  for _, field in ipairs(message.alarms) do
+  for _, field in ipairs(of_type.alarms) do
     local names = M.fault_names(field, raws[field.index])
     if names ~= "" then
       local before = ", "
@@ -201,8 +201,8 @@ local function columns_of(field)
 end
 
 -- Call visit(field, its columns) for the fields and derived values of a message.
-local function each(message, visit)
-  for _, list in ipairs { message.fields, message.derived } do
+local function each(of_type, visit)
+  for _, list in ipairs { of_type.fields, of_type.derived } do
     for _, field in ipairs(list) do visit(field, columns_of(field)) end
   end
 end
@@ -211,10 +211,10 @@ end
 -- returns  a list of { name =, unit = or nil, type = "float", "integer", "bool", "string" or "time"
 --          (seconds), field = or item of message.derived, flag = for the column of a flag }; a name
 --          that another column has already ("time", "id") gets "_2" behind it
-function M.columns(message)
+function M.columns(of_type)
   local columns, taken = {}, {}
   for _, name in ipairs(TAKEN) do taken[name] = true end
-  each(message, function(field, list)
+  each(of_type, function(field, list)
     for i, column in ipairs(list) do
       local name, count = column[1], 1
       while taken[name] do
@@ -235,9 +235,9 @@ function M.columns(message)
 end
 
 -- [message] = the pieces of its cells
-local rows = memo(function(message)
+local rows = memo(function(of_type)
   local pieces = {}
-  each(message, function(field, columns)
+  each(of_type, function(field, columns)
     if pieces[1] then pieces[#pieces + 1] = "," end
     pieces[#pieces + 1] = {
       field = field,

@@ -44,18 +44,18 @@ local function parts_of(source)
 end
 
 -- Return the common columns, then the message's.
-local function columns_of(self, message)
-  return joined(COMMON, self.options.all and CRC_GOOD or {}, text_of.columns(message))
+local function columns_of(self, of_type)
+  return joined(COMMON, self.options.all and CRC_GOOD or {}, text_of.columns(of_type))
 end
 
 -- Begin the table of a message.
-local function begin(self, message, file)
+local function begin(self, of_type, file)
   local names = {}
-  for i, column in ipairs(columns_of(self, message)) do
+  for i, column in ipairs(columns_of(self, of_type)) do
     names[i] = field_kinds.quoted(column.name)
   end
   file:write(table.concat(names, ",") .. "\n")
-  self.tables[message] = { file = file, rows = 0 }
+  self.tables[of_type] = { file = file, rows = 0 }
 end
 
 local function path_of(self, name)
@@ -94,8 +94,8 @@ function M.new(options, context)
     error(("csv: the folder %s cannot be made"):format(options.folder), 0)
   end
   self.fields = create(self, "fields.json")
-  for _, message in ipairs(context.settings.catalogue.messages) do
-    begin(self, message, create(self, message.name .. ".csv"))
+  for _, of_type in ipairs(context.settings.catalogue.messages) do
+    begin(self, of_type, create(self, of_type.name .. ".csv"))
   end
   return self
 end
@@ -147,10 +147,10 @@ end
 -- The values that are worked out from two fields and are no columns: "name" = "of" - "less".
 local DIFFERENCE_KEYS = words("name of less unit title")
 
-local function describe_differences(message)
+local function describe_differences(of_type)
   local list, is_column = {}, {}
-  for _, item in ipairs(message.derived) do is_column[item] = true end
-  for _, item in ipairs(message.generated) do
+  for _, item in ipairs(of_type.derived) do is_column[item] = true end
+  for _, item in ipairs(of_type.generated) do
     if not is_column[item] then
       list[#list + 1] = output.object(DIFFERENCE_KEYS, {
         name = item.name,
@@ -173,17 +173,17 @@ end
 --            DIFFERENCE_KEYS } } }, statistics = { NAME = { columns = see output.describe } } }
 function M.describe(catalogue, version, list_of, statistics)
   local names, messages = {}, {}
-  for i, message in ipairs(catalogue.messages) do
-    local list = list_of(message)
+  for i, of_type in ipairs(catalogue.messages) do
+    local list = list_of(of_type)
     for j, column in ipairs(list) do
       list[j] = describe_column(column)
     end
-    names[i] = message.name
-    messages[message.name] = output.object(words("title every columns differences"), {
-      title = message.title,
-      every = message.every,
+    names[i] = of_type.name
+    messages[of_type.name] = output.object(words("title every columns differences"), {
+      title = of_type.title,
+      every = of_type.every,
       columns = output.list(list),
-      differences = describe_differences(message),
+      differences = describe_differences(of_type),
     })
   end
   local whats, described = {}, {}
@@ -203,13 +203,13 @@ end
 function Csv:finish(_, notes)
   if self.options.chosen then return end
   local context, settings, rows = self.context, self.context.settings, {}
-  local function list_of(message) return columns_of(self, message) end
+  local function list_of(of_type) return columns_of(self, of_type) end
   local statistics = self.options.statistics
   self.fields:write(M.describe(settings.catalogue, settings.version, list_of, statistics) .. "\n")
   local problem = output.close_files(self.files)
   if problem then return output.EXIT_UNDECIDED, "csv: " .. problem end
-  for i, message in ipairs(settings.catalogue.messages) do
-    rows[i] = { file = path_of(self, message.name .. ".csv"), rows = self.tables[message].rows }
+  for i, of_type in ipairs(settings.catalogue.messages) do
+    rows[i] = { file = path_of(self, of_type.name .. ".csv"), rows = self.tables[of_type].rows }
   end
   local title = "YAPP csv: " .. output.count(#rows, "table")
   output.print(context, title, COLUMNS, rows, notes)

@@ -49,9 +49,9 @@ local function new_entry(self, source, size, rest)
   local own, titles, is_own = source.type, {}, false
   local is_grown = own and size > own.size -- it begins with the own message
   local likes = is_grown and {} or compiler.of_size(self.settings.catalogue.messages, size)
-  for i, message in ipairs(likes) do
-    titles[i] = message.title
-    is_own = is_own or message == own
+  for i, of_type in ipairs(likes) do
+    titles[i] = of_type.title
+    is_own = is_own or of_type == own
   end
   local about, like = describe(own, is_own, titles), likes[1]
   local note = rest and ("the last %d not decoded, "):format(rest) or "not decoded, "
@@ -126,9 +126,9 @@ local function plan(self)
     if entry.is_own then
       options[1] = "-o yapp.all_extended:TRUE"
     elseif entry.is_decodable and self.sizes[id] then
-      for _, message in ipairs(entry.likes) do
-        ids[message] = ids[message] or {}
-        table.insert(ids[message], id)
+      for _, of_type in ipairs(entry.likes) do
+        ids[of_type] = ids[of_type] or {}
+        table.insert(ids[of_type], id)
       end
     elseif entry.is_decodable and not taken[key] then
       taken[key], parts[#parts + 1] = true, part_of(entry)
@@ -148,13 +148,13 @@ end
 local function advice_of(self)
   local settings, sizes = self.settings, {}
   local ids, parts, texts = plan(self)
-  for _, message in ipairs(settings.catalogue.messages) do
-    local list = ids[message]
+  for _, of_type in ipairs(settings.catalogue.messages) do
+    local list = ids[of_type]
     if list then
-      for _, id in ipairs(settings.ids[message.name]) do list[#list + 1] = id end
-      local option = ("-o yapp.%s_ids:%s"):format(message.name, ranges_of(list))
-      texts[#texts + 1] = sizes[message.size] and "or " .. option or option
-      sizes[message.size] = true
+      for _, id in ipairs(settings.ids[of_type.name]) do list[#list + 1] = id end
+      local option = ("-o yapp.%s_ids:%s"):format(of_type.name, ranges_of(list))
+      texts[#texts + 1] = sizes[of_type.size] and "or " .. option or option
+      sizes[of_type.size] = true
     end
   end
   if parts[1] then
