@@ -260,6 +260,89 @@ def test_a_ratio_has_half_of_the_room():
     assert [rule.text for rule in rules] == ["m.x.mean=0.975..1.63", "m.x.ratio=0.987..1.42"]
 
 
+def test_what_counts_have_room_for():
+    """20 beside 10 are 5 beyond the median: twice that, and a margin of 2."""
+    flights = {
+        name: [{"rule": "fault=0", "seen": seen} for seen in (3, most)] + [{"rule": "absent=0", "seen": None}]
+        for name, most in (("a", 10), ("b", 20))
+    }
+    rules = [(rule.source, rule.text, rule.comment) for rule in baseline._counted(flights, Decimal("0.1"))]
+    assert rules == [("", "fault=32", "20 in b"), ("", "absent=0", "")]
+
+
+@pytest.mark.parametrize(
+    ("seen", "limit", "is_rule"),
+    [(("0.1", "0.2"), "0.32", True), (("0.01",), "0.05", True), (("1",), "1.1", False), ((), "0", False)],
+)
+def test_the_share_of_reserved_values(seen, limit, is_rule):
+    """As for counts; at least 5 %; no rule that every flight keeps."""
+    rule = baseline.Rule("", "m.x.reserved=0", lost="by all")
+    rule.seen = [(Decimal(share), f"flight{number}") for number, share in enumerate(seen)]
+    assert baseline._learn_share(rule, Decimal("0.1")) is is_rule
+    assert rule.text == f"m.x.reserved={limit}"
+    assert (rule.lost, rule.comment) == (("", f"{seen[-1]} in flight{len(seen) - 1}") if seen else ("by all", ""))
+
+
+FLAGS = {
+    "messages": {
+        "m": {
+            "columns": [
+                {"name": "state", "type": "int", "kind": "flags", "filter": "taurus.m.state"},
+                {"name": "state_run", "type": "bool", "filter": "taurus.m.state.run"},
+                {"name": "state_hot", "type": "bool", "filter": "taurus.m.state.hot"},
+                {"name": "on", "type": "bool", "filter": "taurus.m.on"},
+                {"name": "text", "type": "text", "filter": "taurus.m.state.text"},
+                {"name": "own", "type": "bool"},
+            ]
+        }
+    }
+}
+
+
+def test_flags_of_good_flights():
+    """The gate is asked of each flag whether it is set; a source that is judged apart has a rule of its own."""
+    rules = baseline._flags(FLAGS)
+    assert rules == {"m.state.only=hot": ("m.state", "run"), "m.state.only=run": ("m.state", "hot")}
+    verdicts = [
+        {"source": source, "rule": rule, "seen": seen}
+        for source, rule, seen in (
+            ("a", "m.state.only=hot", 5), ("a", "m.state.only=run", 0), ("b", "m.state.only=hot", 0),
+            ("b", "m.state.only=run", 0), (None, "m.state.only=run", 1), ("c", "m.state.only=run", None),
+            ("a", "m.x.mean=1..2", 1),
+        )
+    ]  # fmt: skip
+    extremes = {("a", "m.x.mean"): [], ("b", "m.x.mean"): [], ("c", "n.x.mean"): []}
+    found = {rule.source: (rule.text, rule.comment) for rule in baseline._only(extremes, rules, {"one": verdicts})}
+    assert found == {
+        "a": ("m.state.only=run", ""),
+        "b": ("m.state.only=", "none was set"),
+        "": ("m.state.only=hot", ""),
+    }
+
+
+def test_what_the_gate_says_of_the_rules():
+    rules = [baseline.Rule(source, "x=1") for source in ("a", "")] + [baseline.Rule("a", "y=1")]
+    verdicts = {
+        "one": [
+            {"source": "a", "rule": "x=1", "seen": 2, "ok": True, "note": None},
+            {"source": "b", "rule": "x=1", "seen": None, "ok": None, "note": "why"},
+            {"source": "a", "rule": "y=1", "seen": 3, "ok": False, "note": "of 9"},
+            {"source": "a", "rule": "z=1", "seen": 3, "ok": False, "note": None},
+        ]
+    }
+    baseline._mark_lost(rules, verdicts)
+    assert [rule.seen for rule in rules] == [[(2, "one")], [], [(3, "one")]]
+    assert [rule.lost for rule in rules] == ["", "one does not keep it (why)", "one does not keep it (3 of 9)"]
+
+
+def test_the_text_of_rules():
+    """A source of which no rule is kept is a comment as a whole."""
+    rules = [baseline.Rule("b", "x=1", lost="no"), baseline.Rule("a", "y=2", "why"), baseline.Rule("", "z=3")]
+    assert baseline._text("head\n", [*rules, baseline.Rule("a", "w=4", lost="no")]) == (
+        f"head\nz=3\n\nsource=a\n{'y=2':<48} # why\n# w=4: no\n\n# source=b\n# x=1: no\n"
+    )
+
+
 def row(*ends):
     return [(Decimal(low), Decimal(high), f"flight{number}") for number, (low, high) in enumerate(ends)]
 
