@@ -554,6 +554,15 @@ def test_tree(name):
         assert names == [text]
 
 
+def test_fields_of_a_start_that_is_cut(tmp_path):
+    """Those that were captured: the CRC has four bytes, size and reserved two each."""
+    path, data = tmp_path / "run.pcap", bytes.fromhex("BBBE6FC720000000")
+    path.write_bytes(make.pcap(make.Source("".join(
+        f"can0 {0x08404000 + count:08X} {data[:count].hex(' ')} | {data[count:].hex(' ')}\n" for count in range(9)))))
+    rows = tshark.fields(path, ["yapp.crc", "yapp.size", "yapp.reserved"])
+    assert rows == [["0xc76fbebb" if count >= 4 else "", "32" if count >= 6 else "", "0x0000" if count == 8 else ""] for count in range(9)]
+
+
 # Capture and the protocols of its last packet.
 PROTOCOLS = {
     "document_motor": "can:yapp", "document_command": "can:yapp",

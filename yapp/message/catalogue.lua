@@ -106,7 +106,7 @@ end
 local function add_rounded(of_type, add)
   for _, list in ipairs { of_type.fields, of_type.generated } do
     for _, one in ipairs(list) do
-      local digits = DIGITS[one.unit or false]
+      local digits = DIGITS[one.unit]
       if digits and one.shape and not one.array then
         table.insert(of_type.rounded, {
           filter = add(one.filter .. ".rounded", "DOUBLE", one.title,
