@@ -1449,6 +1449,9 @@ function T.test_the_last_silence_by_the_stamps_of_two_recorders()
         lu.assertEquals(is_wrong, is_silent and row:find("left", 1, true) == nil and row:find("unknown") == nil,
           ahead .. " " .. row)
       end
+      -- Three may hide faults; of two recorders' stamps a tenth of a second is not sure.
+      local missing = tonumber((said(records)[2] or "0 missing by"):match("(%d+) missing by"))
+      if is_silent then lu.assertTrue(missing == 2 or missing == 3, ahead) else lu.assertEquals(missing, 0, ahead) end
     end
   end
 end
