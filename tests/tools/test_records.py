@@ -2,9 +2,11 @@
 """Incidents of a flight: what belongs together is one, whatever flags it raised."""
 
 from decimal import Decimal
+from types import SimpleNamespace
 
 import pytest
-from yapp_tables.records import EVENTS, SUMMARY, columns_of, faults, incidents, table
+from yapp_tables.incidents import fault_rows, joined, other_rows
+from yapp_tables.records import EVENTS, SUMMARY, columns_of, controllers, faults, incidents, table
 
 
 def event(at, kind="fault", flag="stall", **more):
@@ -34,12 +36,23 @@ def cleared(at, **more):
         # Two controllers; Motor Data and Health of one.
         ([event(0), event(0, id=0x211), event(0, bus="can1"), event(0, id=0x200)], 3),
         ([event(0, source="left"), event(0, id=0x205, source="left")], 1),
+        # Only Motor Data has a name.
+        ([event(0, source="left"), event(0, id=0x200, flag="hot"), event(0, id=0x201, flag="hot")], 2),
         # The raised one was not let through.
         ([cleared(5)], 1),
     ],
 )
 def test_incidents(rows, count):
-    assert incidents(table(rows, EVENTS)) == count
+    """The page of a flight has as many."""
+    events = table(rows, EVENTS)
+    assert incidents(events) == count
+    shown = events.set_column(0, "at", events["time"].cast("int64")).to_pylist()
+    for row, controller in zip(shown, controllers(shown), strict=True):
+        row |= {"at": row["at"] / 1e9 - 1_700_000_000, "title": "", "controller": controller}
+        row["who"] = row["source"] or str(row["id"])
+    flight = SimpleNamespace(messages={})
+    found = joined(fault_rows(flight, shown, 200.0) + other_rows(flight, shown))
+    assert sum(incident["is_fault"] for incident in found) == count
 
 
 def described(name, type_, **more):

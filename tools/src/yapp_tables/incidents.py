@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from .flight import Flight
+from .records import INCIDENT, TOGETHER
 from .tables import Column
 
 Record = dict[str, Any]
@@ -33,9 +34,6 @@ COUNTED = {
     "invalid": "undefined value",
 }
 ELSEWHERE = ("fault", "unknown")  # these have rows of their own
-# Events of one controller that are no further apart than this, in seconds, are one incident.
-TOGETHER = 2.0
-INCIDENT = ("fault", "reboot", "silence", "stale")
 SERIOUS = ("fault", "reboot", "silence", "absent", "shared")  # these come first
 MORE = 4  # incidents that are told at the top besides the first
 HEADS = ("what", "source", "begin", "seconds", "UTC", "duration", "details")
@@ -53,6 +51,7 @@ def flag_of(flight: Flight, event: Record) -> Column | None:
 def _row(event: Record, what: str, **more: object) -> Record:
     about = {"kind": event["kind"], "what": what, "source": event["who"], "bus": event["bus"], "id": event["id"]}
     about |= {
+        "controller": event["controller"],
         "message": event["title"],
         "begin": event["at"],
         "end": event["at"],
@@ -70,12 +69,14 @@ def fault_rows(flight: Flight, events: list[Record], end: float) -> list[Record]
         if event["kind"] != "fault":
             continue
         key = event["who"], event["message"], event["flag"]
-        if event["event"] == "raised":
+        if event["event"] == "raised" or (event["event"] == "cleared" and key not in open_rows):
             flag = flag_of(flight, event)
-            row = _row(event, flag.title if flag else event["flag"], end=None, length=end - event["at"])
+            # One that is cleared alone was raised before what a filter let through.
+            begin = event["at"] - (event["active"] or 0.0)
+            row = _row(event, flag.title if flag else event["flag"], begin=begin, end=None, length=end - begin)
             open_rows[key] = row
             rows.append(row)
-        elif key in open_rows:
+        if event["event"] != "raised" and key in open_rows:
             row = open_rows.pop(key)
             row["end"] = event["at"] if event["event"] == "cleared" else None
             row["length"] = event["active"]
@@ -113,14 +114,11 @@ def _value(flight: Flight, event: Record) -> str:
 
 
 def joined(rows: list[Record]) -> list[Record]:
-    """Join faults, silence and reboot of one controller that belong together to one row with its details.
-
-    A controller's messages have IDs with the same last digit, on the same bus.
-    """
+    """Join faults, silence and reboot of one controller that belong together to one row with its details."""
     found: list[Record] = []
     latest: dict[object, Record] = {}
     for row in sorted(rows, key=lambda row: float(row["begin"])):
-        one = None if row["id"] is None else (row["bus"], row["id"] & 0xF)
+        one = row["controller"]
         last = latest.get(one) if row["kind"] in INCIDENT and one else None
         if last and (last["until"] is None or row["begin"] <= last["until"] + TOGETHER):
             last["rows"].append(row)

@@ -18,7 +18,7 @@ from .scalars import mask, repeated, table_of
 from .tables import KIND, TIME, Column, Message, Origin, Rows, Table, present
 from .tshark import Export, Record
 
-# Events of one controller that are no further apart than this, in seconds, are one incident, as on a flight's page.
+# Events of one controller that are no further apart than this, in seconds, are one incident.
 TOGETHER = 2.0
 INCIDENT = ("fault", "reboot", "silence", "stale")
 # Every table's first columns, of which `table` knows nothing.
@@ -226,19 +226,26 @@ def statistics(summary: Sequence[Record]) -> pa.Table:
     return table(rows, STATISTICS)
 
 
-def incidents(events: pa.Table) -> int:
-    """Return how many incidents of the events have a fault.
+def controllers(events: Sequence[Record]) -> list[object]:
+    """Return the controller of each event, None where it has no ID.
 
-    Without a name, IDs with the same last digit on a bus are one controller.
+    It is a name; without one that of the same bus and last digit of the ID, if it has one; else these two.
     """
+    places = [None if event["id"] is None else (event["bus"], event["id"] & 0xF) for event in events]
+    names = {place: event["controller"] for place, event in zip(places, events, strict=True) if event["controller"]}
+    return [event["controller"] or names.get(place, place) for place, event in zip(places, events, strict=True)]
+
+
+def incidents(events: pa.Table) -> int:
+    """Return how many incidents of the events have a fault."""
     spans: dict[object, list[tuple[float, float, bool]]] = {}
     open_: dict[object, tuple[object, float]] = {}
     at = events["time"].cast(pa.int64()).to_pylist()
     last = max((time for time in at if time is not None), default=0) / 1e9
-    for time, event in zip(at, events.drop_columns(["time"]).to_pylist(), strict=True):
+    rows: list[Record] = events.drop_columns(["time"]).to_pylist()
+    for time, event, who in zip(at, rows, controllers(rows), strict=True):
         if event["kind"] not in INCIDENT or time is None:
             continue
-        who = event["controller"] or (event["bus"], None if event["id"] is None else event["id"] & 0xF)
         begin = time / 1e9
         key = (event["bus"], event["id"], event["source"], event["message"], event["field"], event["flag"])
         if event["kind"] != "fault":

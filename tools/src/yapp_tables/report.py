@@ -22,11 +22,12 @@ from .dataset import plain_name
 from .errors import SetupError
 from .flight import Flight
 from .html_table import html_table
-from .incidents import TOGETHER, besides, fault_rows, flag_of, head, joined, other_rows, table, undecoded, verdict
+from .incidents import besides, fault_rows, flag_of, head, joined, other_rows, table, undecoded, verdict
 from .limits import Limits
 from .matrix import Matrix
 from .multiples import Multiples
 from .pictures import MARKS, Pictures, Record, packed
+from .records import TOGETHER, controllers
 from .undecoded import source_name
 
 VALUES = {"message": "message", "title": "field", "unit": "unit", "source": "source"}
@@ -189,7 +190,8 @@ class Report:
         self.end = max(self.end, max(pc.max(flight[name]["time"]).value - start for name in flight) / 1e9)
         own = flight.events.set_column(0, "at", flight.events["time"].cast(pa.int64()))
         events: list[Record] = own.to_pylist()
-        for event in events:
+        for event, controller in zip(events, controllers(events), strict=True):
+            event["controller"] = controller
             event["at"] = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
             event["title"] = flight.title(event["message"]) if event["id"] is not None else ""
             event["who"] = prefix + source_name(event)
