@@ -837,6 +837,19 @@ function T.test_ratio()
   lu.assertStrContains(reason(record(1, 0, { payload = payload(255) })), "all its values are reserved")
 end
 
+-- Each rule about values but that of all sources is not judged, and says why, if its source has no good message.
+function T.test_rules_without_a_value()
+  local rules = { gap = "motor.gap=1", range = "motor.volts=1..2", numbers = "motor.volts.numbers=1..2", mean = "motor.volts.mean=1..2",
+    ratio = "motor.volts.ratio=1..2", reserved = "motor.volts.reserved=0.5", only = "motor.fault_flags.only=hot" }
+  for _, row in ipairs(require("yapp.stat.measures").LIST) do
+    if row.name ~= "count" and row.name ~= "rate" and row.scope ~= "capture" then
+      local printed, code = run({ "check,source=left,crc=9," .. rules[row.name] }, { bad(1, 0) })
+      lu.assertStrContains(printed, "no good message of it was decoded", false, row.name)
+      lu.assertEquals(code, 21, row.name)
+    end
+  end
+end
+
 function T.test_only_some_flags()
   local records = { record(1, 0), record(2, 1, { payload = payload(10, 0x81) }), record(3, 2, { payload = payload(10, 0x7) }),
     record(4, 3, { source = RIGHT, payload = payload(10, 0x4) }) } -- 0x4 is a bit of stall, 0x80 of level
