@@ -185,7 +185,8 @@ local function add_all_generated(of_type, entry)
   for i, row in ipairs(entry.differences or {}) do
     local what, first = input.row(row, "difference", i, 4, {}), of_type.by_name[row[2] or false]
     local text = ("%s - %s"):format(row[2], row[3])
-    add_generated(of_type, what, row[1], text, row[4], first and first.unit)
+    local item = add_generated(of_type, what, row[1], text, row[4], first and first.unit)
+    item.is_difference = true
   end
   for i, row in ipairs(entry.derived or {}) do
     local what = input.row(row, "derived", i, 3, DERIVED_OPTIONS)
@@ -275,7 +276,7 @@ end
 --   flag_fields (its fields of flags), alarms (those with a fault flag), fault_field (the first one
 --   whose flags are all faults)
 --   generated: a list of the values that are worked out from two fields: { name, title, filter,
---   unit, kind = "derived", shape, operator ("*", "-", "+"), a and b (the fields) }
+--   unit, kind = "derived", shape, operator ("*", "-", "+"), a and b (the fields), is_difference }
 --   derived: those of them that are columns of CSV, too
 --   rounded: a list of the values for columns, { filter, field (or one of generated), shape }
 --   filters: a list of { filter, type, title, description, base, values, mask }, see show.fields

@@ -148,10 +148,9 @@ end
 local DIFFERENCE_KEYS = words("name of less unit title")
 
 local function describe_differences(of_type)
-  local list, is_column = {}, {}
-  for _, item in ipairs(of_type.derived) do is_column[item] = true end
+  local list = {}
   for _, item in ipairs(of_type.generated) do
-    if not is_column[item] then
+    if item.is_difference then
       list[#list + 1] = output.object(DIFFERENCE_KEYS, {
         name = item.name,
         of = item.a.name,

@@ -46,7 +46,7 @@ end
 --- Make an intake, which is closed.
 -- catalogue  compiled
 function M.new(catalogue)
-  local self = setmetatable({
+  return setmetatable({
     catalogue = catalogue,
     queue = nil, -- a stat.queue, while it is open
     leaving = {}, -- taps, see Intake:remove_later
@@ -54,23 +54,17 @@ function M.new(catalogue)
     has_orphans = false, -- true if a state has had an orphan
     stretches = nil, -- by line: skipped bytes, while nothing else comes
   }, Intake)
-  return self
 end
 
 --- Begin to hand on events.  Forget an earlier reading.
 function Intake:open(queue)
-  self:reset()
   self.queue = queue
+  self.states, self.stretches, self.has_orphans = memo(new_state), {}, false
 end
 
 --- Hand on no more events.
 function Intake:close()
   self.queue = nil
-end
-
---- Forget the results so far.
-function Intake:reset()
-  self.states, self.stretches, self.has_orphans = memo(new_state), {}, false
 end
 
 --- Remove a tap when the next event of a message comes: a tap cannot go while it is called.

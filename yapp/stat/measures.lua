@@ -130,7 +130,7 @@ end
 -- bound    the limit that a number is: "low" or "high"; is_count = true if it has no fraction
 -- takes_range  true if the limit may be A..B, A.. or ..B; nothing else if there is no bound.
 --              Without both the limit is no number, and want sets it
--- want     of a field: function(rule, field) -> an entry of Groups:wants
+-- want     of a field: function(rule, field) -> an entry of Groups:wants; nil: { field = field }
 -- needs_past, needs_time, can_fall, scope  as in rows of kinds
 
 --- MESSAGE.NAME=LIMIT
@@ -189,7 +189,6 @@ M.OF_FIELD = {
     help = "the mean of all values but reserved ones lies within",
     measure = measure_mean,
     takes_range = true,
-    want = function(_, field) return { field = field } end,
     can_fall = true,
   },
   {
@@ -198,7 +197,6 @@ M.OF_FIELD = {
     help = "the mean, divided by the median of the other sources' means, lies within",
     measure = measure_ratio,
     takes_range = true,
-    want = function(_, field) return { field = field } end,
     can_fall = true,
   },
   {
@@ -207,7 +205,6 @@ M.OF_FIELD = {
     help = "at most this share of the values is reserved, 0.05 for 5 %",
     measure = measure_reserved,
     bound = "high",
-    want = function(_, field) return { field = field } end,
     can_fall = true,
   },
   {

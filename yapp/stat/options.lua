@@ -74,7 +74,7 @@ local function add_field(rule, name, value)
   demand(not (rule.source and rule.kind.scope == "capture"),
     "a %s is of all sources, not of one", rule.kind.name)
   if rule.kind.bound or rule.kind.takes_range then set_limits(rule, value) end
-  rule.want = rule.kind.want(rule, field)
+  rule.want = rule.kind.want and rule.kind.want(rule, field) or { field = field }
 end
 
 -- Return the name of a rule MESSAGE.NAME=..., and its measure, nil for a field.  A field of the

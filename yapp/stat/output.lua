@@ -304,9 +304,10 @@ end
 -- row_of   function(one) -> a row, if rows are made only when they are printed: many take memory
 function M.print(context, title, columns, rows, notes, row_of)
   local out = context.out
+  row_of = row_of or itself
   if context.json then
     for _, one in ipairs(rows) do
-      local row = (row_of or itself)(one)
+      local row = row_of(one)
       out(M.object(row.keys or columns.json, row).json .. "\n")
     end
     return
