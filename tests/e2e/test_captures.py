@@ -338,6 +338,14 @@ def test_payload_of_what_was_put_together(name, number):
     assert [[frame, data.replace(":", "")] for frame, data in rows if data] == wanted
 
 
+@pytest.mark.parametrize("name, wanted", [
+    ("document_motor", ["", *(MOTOR[at:at + 8].hex() for at in (0, 8, 16)), ""]),  # the End has the whole payload
+    ("document_command", [""])])
+def test_payload_of_a_fragment(name, wanted):
+    rows = tshark.fields(make.capture(name)[0], ["yapp.fragment.data"])
+    assert [data.replace(":", "") for data, in rows] == wanted
+
+
 def test_names_of_flags():
     wanted = [("document_motor", "taurus.motor.motor_state.names", "ready, stopped"),
               ("document_motor", "taurus.motor.status_flags.names", "stopped, mpos_update"),
