@@ -10,7 +10,7 @@ local T = {}
 
 local PACKET = frame_key.PACKET
 local TCP, UDP = 2, 3 -- pinfo.port_type
-local GLOBALS = { "ByteArray" }
+local GLOBALS = { "ByteArray", "Tvb" }
 local MODULES = { "yapp.host.serial", "yapp.host.tcp", "yapp.host.ports" }
 local real_usb = {}
 for name, value in pairs(usb) do real_usb[name] = value end
@@ -120,6 +120,7 @@ function T.setUp()
     unregister_all = function() seen.given_back = seen.given_back + 1 end,
     has_other = function(pinfo) return said.has_other and pinfo.src_port == 40000 end,
   }
+  _G.Tvb = Buffer
   _G.ByteArray = { new = function(bytes, is_binary)
     return { tvb = function(_, name) return { bytes, is_binary, name } end }
   end }

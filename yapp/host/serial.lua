@@ -14,6 +14,8 @@ local M = {}
 
 local PACKET = frame_key.PACKET
 local INSIDE = PACKET / 2 -- offset of the bytes that TLS found in a packet
+-- A method that Lua has to look up in a Tvb costs more than its work.
+local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
 
 local Dissector = {}
 Dissector.__index = Dissector
@@ -64,8 +66,9 @@ function Dissector:scan(head)
 end
 
 -- Return the line of a packet, and whether it is known where the packet was captured.
-local function line_of(self, pinfo)
-  local kind, from, bus, is_bus_known, time = pinfo.port_type, tostring(pinfo.src), nil, true, nil
+-- kind  pinfo.port_type
+local function line_of(self, pinfo, kind)
+  local from, bus, is_bus_known, time = tostring(pinfo.src), nil, true, nil
   if not lines.is_ip(kind, from) then
     bus, is_bus_known = self.buses.of(pinfo.number, 0, pinfo)
   elseif not pinfo.visited then
@@ -80,15 +83,16 @@ end
 -- line    see serial.lines
 -- offset  of its bytes in the packet
 -- length  number of bytes that it had
--- wants   of Tree:wants
-local function new_packet(self, line, pinfo, offset, bytes, length, wants)
-  local number, is_truncated = pinfo.number, length > #bytes
+-- returns  it, and what is wanted of it, see Tree:wants
+local function new_packet(self, line, pinfo, tree, offset, bytes, length)
+  local number, visited, is_truncated = pinfo.number, pinfo.visited, length > #bytes
+  local wants = self.builder:wants(tree, pinfo, visited)
   return {
     key = number * PACKET + offset,
     number = number,
     time = self.buses:time(pinfo), -- seconds since the first packet
     epoch = is_truncated and pinfo.abs_ts, -- since 1970, or false
-    visited = pinfo.visited,
+    visited = visited,
     bytes = bytes, -- those that were captured
     length = length,
     truncated = is_truncated,
@@ -99,15 +103,16 @@ local function new_packet(self, line, pinfo, offset, bytes, length, wants)
     is_bus_known = true, -- true if the capture tells where it was captured
     is_only_pass = wants.is_only_pass, -- true if it is never dissected again
     wants_state = wants.state, -- true if the state of its messages is wanted
-  }
+  }, wants
 end
 
 -- Return the record of all bytes that a dissector gets, and what is wanted of them.
-local function whole_packet(self, tvb, pinfo, tree)
-  local line, is_bus_known = line_of(self, pinfo)
-  local wants = self.builder:wants(tree, pinfo, pinfo.visited)
-  local bytes = tvb:len() > 0 and tvb:raw() or ""
-  local packet = new_packet(self, line, pinfo, tvb:offset(), bytes, tvb:reported_len(), wants)
+-- kind  pinfo.port_type
+local function whole_packet(self, tvb, pinfo, tree, kind)
+  local line, is_bus_known = line_of(self, pinfo, kind)
+  local bytes = length_of(tvb) > 0 and raw_of(tvb) or ""
+  local packet, wants =
+    new_packet(self, line, pinfo, tree, offset_of(tvb), bytes, reported_of(tvb))
   packet.is_bus_known = is_bus_known
   return packet, wants
 end
@@ -144,7 +149,7 @@ function Dissector:accepts(tvb, pinfo, tree)
   if not (may_begin and reading:may_be_yapp(bytes) or may_go_on(streams, pinfo)) then
     return false
   end
-  local packet = whole_packet(self, tvb, pinfo, tree)
+  local packet = whole_packet(self, tvb, pinfo, tree, pinfo.port_type)
   return try_packet(self, packet, pinfo)
 end
 
@@ -181,16 +186,15 @@ end
 -- Dissect a segment that TCP has shown.
 -- tvb  with the header of TCP
 local function dissect_segment(self, segment, tvb, pinfo, tree)
-  local line, start = line_of(self, pinfo), segment.start
+  local line, start = line_of(self, pinfo, lines.TCP), segment.start
   local has_order = pinfo.visited or
     self.reading.streams:add_header(line.key, line.opposite, segment)
   line.is_direct = line.is_direct or segment.is_ours
   line.is_over = line.is_over or segment.is_end
   if segment.length == 0 or not (segment.is_ours or has_order) then return end
-  local bytes, wants = "", self.builder:wants(tree, pinfo, pinfo.visited)
-  if tvb:len() > start then bytes = tvb:raw(start) end
-  local packet = new_packet(self, line, pinfo, tvb:offset() + start, bytes,
-    tvb:reported_len() - start, wants)
+  local bytes = tvb:len() > start and tvb:raw(start) or ""
+  local packet, wants = new_packet(self, line, pinfo, tree, tvb:offset() + start, bytes,
+    tvb:reported_len() - start)
   packet.seq, packet.epoch = segment.seq, segment.epoch
   if wants.tree and bytes ~= "" then tvb = tvb(start):tvb() end
   dissect(self, packet, wants, tvb, pinfo, tree)
@@ -217,12 +221,12 @@ end
 local function dissect_in_tcp(self, tvb, pinfo, tree)
   local segment, offset = tcp.current(pinfo.number), tvb:offset()
   local is_direct = segment and offset == segment.offset or not segment and offset > 0
-  is_direct = is_direct or line_of(self, pinfo).is_direct
+  is_direct = is_direct or line_of(self, pinfo, lines.TCP).is_direct
   if segment and is_direct then
     segment.is_ours = true -- these bytes may be of several: dissect_segment shows it
     return true
   end
-  local packet, wants = whole_packet(self, tvb, pinfo, tree)
+  local packet, wants = whole_packet(self, tvb, pinfo, tree, lines.TCP)
   if is_direct then
     self:watch_tcp()
   else
@@ -239,13 +243,13 @@ end
 --- Dissect the bytes of a packet.
 -- returns  the number of bytes that are ours
 function Dissector:dissect(tvb, pinfo, tree)
-  local size = tvb:len()
+  local size, kind = length_of(tvb), pinfo.port_type
   -- An ICMP error only quotes bytes that were sent before.
   if size == 0 or pinfo.in_error_pkt then return 0 end
-  if pinfo.port_type == lines.TCP then
+  if kind == lines.TCP then
     return dissect_in_tcp(self, tvb, pinfo, tree) and size or 0
   end
-  local packet, wants = whole_packet(self, tvb, pinfo, tree)
+  local packet, wants = whole_packet(self, tvb, pinfo, tree, kind)
   return dissect(self, packet, wants, tvb, pinfo, tree) and size or 0
 end
 
@@ -275,9 +279,8 @@ end
 function Dissector:dissect_usb(kind, tvb, pinfo, tree)
   local part, line = part_of_line(self, kind, tvb:raw())
   if not part then return end
-  local reading, wants = self.reading, self.builder:wants(tree, pinfo, pinfo.visited)
-  local length = part.truncated and #part.bytes + 1 or #part.bytes
-  local packet = new_packet(self, line, pinfo, part.offset, part.bytes, length, wants)
+  local reading, length = self.reading, part.truncated and #part.bytes + 1 or #part.bytes
+  local packet, wants = new_packet(self, line, pinfo, tree, part.offset, part.bytes, length)
   local is_found = reading.found[line.trial_key] or
     not packet.visited and reading:try_packet(packet)
   if is_found then
@@ -290,7 +293,7 @@ end
 function Dissector:dissect_skipped(tvb, pinfo, tree)
   local size = tvb:len()
   if size > 0 then
-    local packet, wants = whole_packet(self, tvb, pinfo, tree)
+    local packet, wants = whole_packet(self, tvb, pinfo, tree, pinfo.port_type)
     self.view:show(packet, self.reading:add_skipped(packet), wants, tvb, pinfo, tree)
   end
   return size
