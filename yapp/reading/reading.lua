@@ -28,6 +28,7 @@ local M = {}
 local BUS, START = can_id.BUS, can_id.START
 local sub = string.sub
 local MAX_SHORT = 128 -- bytes; a longer packet of an unknown conversation is YAPP if it is alone
+local FIRST = 4096 -- bytes: few need more to show that they are YAPP
 
 local Reading = {}
 Reading.__index = Reading
@@ -196,6 +197,7 @@ end
 -- CRC or bytes missing.  Ten bytes of its header are given, so chance does not make one.
 function Reading:is_yapp(bytes)
   if not frame.find(bytes, 1) then return false end
+  if #bytes > FIRST and self:is_yapp(sub(bytes, 1, FIRST)) then return true end
   for _, finding in ipairs(self.streams:split(bytes)) do
     local id = finding.status ~= "skipped" and frame.parse(bytes, finding.offset + 1)
     if finding.status == "good" or id and self.types:size_of(id) then return true end

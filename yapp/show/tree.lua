@@ -4,6 +4,7 @@
 -- Wireshark's API.
 
 local show_fields = require "yapp.show.fields"
+local memo = require "yapp.base.memo"
 local messages_of = require "yapp.show.taurus"
 local number_of = require "yapp.base.frame_key".number
 
@@ -12,6 +13,7 @@ local M = {}
 local add = show_fields.add
 local set_generated = show_fields.set_generated
 local append_text = show_fields.append_text
+local referenced = TreeItem.referenced
 
 -- By status: crc.status, the text behind the CRC, and the text of the item.
 local CRC = {
@@ -77,16 +79,21 @@ end
 
 local LIST = { columns = true, shows = true } -- a packet list of Wireshark, or of later passes
 
+-- The API takes a dissector to ask about a protocol, and ours exist only after loading.
+local dissectors = memo(function(name) return Dissector.get(name) end)
+
 -- Ask Wireshark which parts of a packet are wanted.
 local function ask_wants(self, tree)
-  -- The API takes a dissector here, and ours exist only after loading.
-  local wants = { columns = true, shows = true }
-  wants.yapp = tree:referenced(Dissector.get("yapp"))
-  wants.taurus = tree:referenced(Dissector.get("taurus"))
-  wants.tree = wants.yapp or wants.taurus
-  wants.state = wants.taurus
-  wants.names = not SAYS_PROTOCOLS and not self.reading.listener
-  return wants
+  local yapp, taurus = referenced(tree, dissectors.yapp), referenced(tree, dissectors.taurus)
+  return {
+    columns = true,
+    shows = true,
+    yapp = yapp,
+    taurus = taurus,
+    tree = yapp or taurus,
+    state = taurus,
+    names = not SAYS_PROTOCOLS and not self.reading.listener,
+  }
 end
 
 -- Ask Wireshark in tshark's first pass, where the answer is the same for all packets.
