@@ -575,6 +575,26 @@ def test_port_that_is_not_permitted(folder, port):
     assert f"belongs to the group {group}: sudo usermod -aG {group} $USER" in errors
 
 
+def refused_to_nobody(folder, port):
+    """What it says to an ordinary user."""
+    os.chmod(folder, 0o777)
+    os.mkfifo(folder / "fifo")
+    os.chmod(folder / "fifo", 0o666)
+    shutil.copy(EXTCAP, folder / "extcap.py")
+    nobody = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}
+    process = subprocess.Popen(["/usr/bin/python3", folder / "extcap.py", "--capture", "--extcap-interface", "yapp-serial", "--port",
+                                port.name, "--fifo", folder / "fifo"], stderr=subprocess.PIPE, text=True, **nobody)
+    (folder / "fifo").read_bytes()
+    return process.communicate(timeout=60)[1]
+
+
+def test_a_port_that_the_kernel_keeps_for_another(folder, port):
+    os.chmod(port.name, 0o666)
+    fcntl.ioctl(port.near, termios.TIOCEXCL)
+    errors = refused_to_nobody(folder, port)
+    assert errors == f"YAPP: {port.name} is in use by another program: close that one, then start again\n"
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become somebody else")
 @pytest.mark.parametrize("group, mode, advice", [
     (20, 0o660, r"belongs to the group (\w+): sudo usermod -aG \1 \$USER"),
@@ -584,15 +604,7 @@ def test_port_that_is_not_permitted(folder, port):
 def test_port_of_somebody_else(folder, port, group, mode, advice):
     os.chown(port.name, 0, group)
     os.chmod(port.name, mode)
-    os.chmod(folder, 0o777)
-    os.mkfifo(folder / "fifo")
-    os.chmod(folder / "fifo", 0o666)
-    shutil.copy(EXTCAP, folder / "extcap.py")
-    process = subprocess.Popen(["/usr/bin/python3", folder / "extcap.py", "--capture", "--extcap-interface", "yapp-serial", "--port",
-                                port.name, "--fifo", folder / "fifo"], stderr=subprocess.PIPE, text=True, user=65534,
-                               group=65534, extra_groups=[])
-    (folder / "fifo").read_bytes()
-    errors = process.communicate(timeout=60)[1]
+    errors = refused_to_nobody(folder, port)
     assert re.search(advice, errors) and "root" not in errors
     assert stat.S_IMODE(os.stat(port.name).st_mode) == mode
 
