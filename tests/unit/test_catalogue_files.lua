@@ -150,6 +150,17 @@ function T.test_a_file_that_is_not_there()
     { 1, { path .. ".no: not found; its messages are not decoded" } })
 end
 
+-- By the number of the error: its text is in the user's language.
+function T.test_a_file_that_may_not_be_read()
+  for code, said in pairs { [13] = "cannot be read: x.lua: text", [2] = "not found", [14] = "not found" } do
+    local open = io.open
+    io.open = function(path) return nil, path .. ": text", code end -- luacheck: ignore 122
+    local _, problems = files.load { { path = "x.lua" } }
+    io.open = open -- luacheck: ignore 122
+    lu.assertEquals(problems, { "x.lua: " .. said .. "; its messages are not decoded" })
+  end
+end
+
 function T.test_a_preference_in_its_file()
   for text, value in pairs {
     ["yapp.messages: /a b/c.lua\n"] = "/a b/c.lua", ["x: 1\r\nyapp.messages: C:\\d.lua\r\ny: 2\r\n"] = "C:\\d.lua",
