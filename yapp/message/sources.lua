@@ -214,9 +214,8 @@ local function rows_of(self, bus, interface)
   return list
 end
 
---- Return what the user said of a source: the message type that it carries, and its name; nil for
--- each that no part gives.  The name is that of its ID on its bus, of its bus, or of its ID
--- anywhere.
+--- Return the message type that the user gave a source, and its name; nil for each that no part
+-- gives.  The name is that of its ID on its bus, of its bus, or of its ID anywhere.
 -- bus        the name that the capture gives it, or nil
 -- id         message ID
 -- interface  of a sender in UDP or TCP: the name of the interface, or nil

@@ -400,7 +400,7 @@ local function add_changes(self, change, top, item, above)
   return words
 end
 
--- Return the text at the begin of the Info column, about faults:
+-- Return the text at the beginning of the Info column, about faults:
 -- "FAULT faulted  cleared motor_overcurrent, hall_timeout  ".
 local function faults_text(message, change)
   local text, cleared = "", changed_faults(change.flags or NONE, "cleared")
@@ -412,7 +412,7 @@ end
 
 --- Show a message, with its changes, and its expert items.
 -- message, view  as Tree:show_message takes them
--- returns  the texts at the begin and at the end of the Info column
+-- returns  the texts at the beginning and at the end of the Info column
 function Taurus:show(message, view)
   local top, items, above = nil, NONE, nil
   local change, item = message.change, view.item

@@ -24,7 +24,7 @@ local M = {}
 -- needs_values  the same with a message that was decoded
 -- is_doubtful true if a `shared` behind it may explain it, see stat.derive
 -- needs_time  true if it can be judged only if packets have time stamps
--- can_fall    true if more packets may lower what the rule judges
+-- can_fall    true if more packets may lower the value that the rule judges
 M.LIST = {
   {
     "fault",
