@@ -769,6 +769,14 @@ function T.test_negotiation_of_telnet_is_skipped()
   feeds(s, negotiation .. first, ("skipped 0-6, good 6-%d"):format(6 + #first))
 end
 
+-- Where a CRC of telnet is bad, the next frame begins behind all of its bytes.
+function T.test_a_bad_frame_of_telnet()
+  local bytes = doubled(frame(0x210, ("\255"):rep(32)))
+  local bad, s = bytes:sub(1, -2) .. "?", new()
+  s:expect_telnet()
+  feeds(s, bytes .. bad .. bytes, "good 0-80, bad 80-160, good 160-240")
+end
+
 -- A stream that ends inside a frame of telnet: `missing` counts bytes as before telnet.
 function T.test_a_cut_frame_of_telnet_is_incomplete()
   local bytes = doubled(frame(0x210, ("\255"):rep(32))) -- 80 bytes, of a frame of 48
