@@ -18,9 +18,9 @@ def lines_of_mutants(module):
         yield mutate.line_at(text, start), mutate.line_at(text[:start] + new + text[end:], start) or "(left out)"
 
 
-def mutated(line):
+def mutated(line, module="one.lua"):
     """The mutants of a module with this line alone."""
-    return {line[:start] + new + line[end:] for start, end, new in mutate.mutants(pathlib.Path("one.lua"), line)}
+    return {line[:start] + new + line[end:] for start, end, new in mutate.mutants(pathlib.Path(module), line)}
 
 
 def test_each_row_is_a_mutant_of_its_module():
@@ -36,6 +36,11 @@ def test_each_row_is_a_mutant_of_its_module():
 ])
 def test_of_two_equals_either_is_the_least(line, is_made):
     assert (line.replace(">", ">=") in mutated(line)) is is_made
+
+
+def test_a_guard_of_python_is_no_behaviour():
+    assert mutated("a = zip(b, c, strict=True)", "one.py") == {"pass"}
+    assert "a = f(b=False)" in mutated("a = f(b=True)", "one.py")
 
 
 def test_nothing_is_added_to_make_a_float():

@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pyarrow as pa
 import pytest
+from yapp_tables import differs
 from yapp_tables.differs import differing
 from yapp_tables.series import Source
 from yapp_tables.tables import Column, Message
@@ -89,3 +90,82 @@ def test_all_of_20_planted_ones(seed):
 def test_of_two_the_hot_one_is_said():
     found, _ = flight(7, 2, hot=1)
     assert [row["source"] for row in differing(MESSAGE, found, set())] == ["esc1"]
+
+
+def sources(*values, every=1.0):
+    """Sources with these values at one time each second; None where a message is missing."""
+    found = []
+    for number, own in enumerate(values):
+        known = [at for at, value in enumerate(own) if value is not None]
+        rows = pa.table({"value": [float(own[at]) for at in known]})
+        found.append(differs.Source(f"esc{number}", rows, np.array(known) * every, every))
+    return found, [differs.numbers(source.rows["value"]) for source in found]
+
+
+def test_the_values_of_each_second():
+    """The mean of a second; the one before for five more."""
+    one = Source("one", pa.table({}), np.array([0.2, 0.7, 1.5, 9.0]), 1.0)
+    other = Source("other", pa.table({}), np.array([-0.5, 2.0, 3.0]), 1.0)
+    grid = differs._by_second([one, other], [np.array([1.0, 3, 5, 7]), np.array([1.0, 4, np.nan])])
+    nan = np.nan
+    np.testing.assert_array_equal(grid, [[2, 5, 5, 5, 5, 5, 5, nan, nan, 7], [nan, nan, 4, 4, 4, 4, 4, 4, nan, nan]])
+
+
+@pytest.mark.parametrize(
+    ("value", "seconds", "word"),
+    [(30, 25, None), (30.5, 25, "hotter"), (10, 25, None), (9.5, 25, "cooler"), (31, 20, "hotter"), (31, 19, None)],
+)
+def test_how_far_and_how_long_a_temperature_is_apart(value, seconds, word):
+    """More than 10 degrees, for 20 s."""
+    found, values = sources([20] * 50, [20] * 50, [20] * 5 + [value] * seconds + [20] * (45 - seconds))
+    said = differs._temperature(found, values, "Heat")
+    away = abs(value - 20)
+    text = f"Heat {away:.0f} °C {word} than the median of the others from 5 s to {5 + seconds} s"
+    assert said == ([{"source": "esc2", "text": text, "at": 5.0}] if word else [])
+
+
+@pytest.mark.parametrize(
+    ("others", "value", "word"),
+    [
+        ((10, 10, 10.2), 12.5, None), ((10, 10, 10.2), 12.6, "higher"), ((10, 10, 10.2), 7.4, "lower"),
+        ((1, 1, 1), 2, None), ((1, 1, 1), 2.1, "higher"),
+        ((10, 11, 10.5), 14.4, None), ((10, 11, 10.5), 14.6, "higher"), ((1, 1), 9, None),
+    ],
+)  # fmt: skip
+def test_how_far_a_level_is_apart(others, value, word):
+    """A quarter of the level, 4 times as far as the others lie apart, and 1; three others have to agree."""
+    found, values = sources(*([each] * 9 for each in (*others, value)))
+    said = differs._level(found, values, "Current", "A")
+    assert [(row["source"], row["text"].split(" A ")[1].split()[0]) for row in said] == (
+        [(f"esc{len(others)}", word)] if word else []
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "error", "times"), [(100, 2, None), (100, 2.1, 2.1), (2000, 3.9, None), (2000, 4.1, 4.1)]
+)
+def test_how_badly_a_command_is_followed(command, error, times):
+    """Twice as far as the others, and 0.2 % of the largest command."""
+    found, values = sources(*([command + away] * 60 for away in (1, 1, 1, error)))
+    said = differs._following(found, values, [np.full(60, float(command))] * 4, "Speed")
+    text = f"Speed follows its command {times} times worse than the others"
+    assert said == ([{"source": "esc3", "text": text, "at": 0.0}] if times else [])
+
+
+@pytest.mark.parametrize(
+    ("value", "steps", "others", "times"),
+    [(18, 2, 10, None), (18.2, 2, 10, 1.8), (30, 1, 10, None), (10, 2, 1, 10.0), (9.9, 2, 1, None)],
+)
+def test_a_multiple_of_the_others(value, steps, others, times):
+    """1.8 times, for two messages, and further away than 10 % of the largest value of the flight."""
+    usual = [others] * 99 + [89.0 if others == 1 else 10]  # the largest value, of all
+    own = usual[:40] + [value] * steps + usual[40 + steps :]
+    late = [*usual[:40], None, *usual[41:]]  # the one before stands there
+    found, values = sources(usual, late, own)
+    said = differs.surges(found, values, Column("current", pa.float64(), "value", "Current", "A"))
+    if not times:
+        assert said == []
+        return
+    text = f"Current {value:.3g} A, {times} times the others' for 2 s"
+    about = {"source": "esc2", "text": text, "at": 40.0, "times": value / others, "end": 42.0, "length": 2.0}
+    assert said == [about | {"times": pytest.approx(about["times"])}]
