@@ -33,6 +33,10 @@ def stretches(*rows):
         # By more than a second they are; so is a step of more than a day.
         ([((1, NOW), (2, NOW + 1), (3, NOW - 0.5), (4, NOW + 2))], NOW, 3.5, 1),
         ([((1, NOW), (2, NOW + 86_400)), ((3, NOW + 2 * 86_401),)], NOW, 86_400, 1),
+        # Just a second back, from one table to the next; the year 2000 begins, and a second before it.
+        ([((1, NOW), (2, NOW + 5)), ((3, NOW + 4), (4, NOW + 6))], NOW, 6, 0),
+        ([((1, 946_684_800), (2, 946_684_805))], 946_684_800, 5, 0),
+        ([((1, 946_684_799), (2, 946_684_805))], None, 6, 0),
         # One table ends before the other begins.
         ([((1, NOW), (2, NOW + 1)), ((3, NOW + 2), (4, NOW + 4))], NOW, 4, 0),
     ],
