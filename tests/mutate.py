@@ -52,7 +52,7 @@ SUITES = {
     "yapp.lua": ["tests/e2e/test_preferences.py", "tests/e2e/test_captures.py", "tests/e2e/test_install.py", "tests/e2e/test_buses.py",
                  "tests/e2e/test_unknown_ids.py", "tests/e2e/test_locale.py"],
     "yapp/": ["tests/e2e/test_captures.py", "tests/e2e/test_experts.py", "tests/e2e/test_statistics.py"],
-    "yapp/show/": ["tests/e2e/test_captures.py", "tests/e2e/test_experts.py", "tests/e2e/test_flight_fields.py", "tests/e2e/test_preferences.py",
+    "yapp/show/": ["tests/e2e/test_captures.py", "tests/e2e/test_experts.py", "tests/e2e/test_flight_fields.py", "tests/e2e/test_messages.py", "tests/e2e/test_preferences.py",
                    "tests/e2e/test_same_everywhere.py"],
     "yapp/show/fields.lua": ["tests/e2e/test_experts.py", "tests/e2e/test_captures.py"],
     "yapp/show/packet.lua": ["tests/e2e/test_captures.py", "tests/e2e/test_streams.py"],
