@@ -105,7 +105,7 @@ local function visit(capture, one, with)
   with = with or {}
   local frame, number = records.new_can_frame(), with.number or capture.number + 1
   capture.number = number
-  frame.key, frame.time = number * frame_key.PACKET + 16, with.time or number / 1000
+  frame.key, frame.time = number * frame_key.PACKET + 17, with.time or number / 1000
   frame.number = number
   frame.can_id = can_id.fields[one[1]]
   frame.data, frame.reported = one[2], with.reported or #one[2]
@@ -180,7 +180,7 @@ function T.test_messages_on_can()
   local single = visit(capture, frames_of(COMMAND, 7, payload_of(COMMAND, 1))[1])
   lu.assertEquals(in_words(single), "single good Command")
   lu.assertEquals({ single.message.seq, single.transfer.size, single.message.key, single.transfer.status },
-    { 7, 7, frame_key.PACKET + 16, "good" })
+    { 7, 7, frame_key.PACKET + 17, "good" })
   lu.assertEquals({ single.index, single.is_usual }, { false, false }) -- its key is none
   local list, kinds = frames_of(MOTOR, 9, payload_of(MOTOR, 3)), {}
   for i, one in ipairs(list) do
@@ -474,7 +474,7 @@ end
 
 function T.test_the_end()
   local capture, list = new_capture(), frames_of(MOTOR, 9, payload_of(MOTOR, 1))
-  add_all(capture, { list[1], list[2] })
+  add_all(capture, { list[1], list[2] }, { bus = 2 })
   visit_packet(capture, 0, MOTOR_FRAME:sub(1, 20))
   lu.assertEquals(capture.reading:finish(false)[1].frame.seq, 9)
   lu.assertEquals(finish(capture, false), { "unfinished Motor Data @2", "unfinished Motor Data @3" })

@@ -105,6 +105,16 @@ function T.test_what_is_no_datagram()
   lu.assertEquals(next(self.is_changing), nil)
 end
 
+-- Datagrams of any length belong to one conversation.
+function T.test_a_conversation_of_datagrams_of_two_lengths()
+  local long = generator.frame(0x123, ("x"):rep(600))
+  local length = #long + 8
+  local ip = "any link\69\0" .. string.char(2, length + 20 - 512) .. "\0\0\0\0\64\17\0\0\192\168\1\10\192\168\1\20"
+  local udp = "\0\9\56\214" .. string.char((length - length % 256) / 256, length % 256) .. "\0\0"
+  lu.assertEquals(#senders.conversations(ip .. udp .. long), 1)
+  lu.assertEquals(#senders.conversations(ipv4(9) .. ip .. udp .. long), 1)
+end
+
 -- The first byte of IPv6 has the version and half of the traffic class.
 function T.test_versions_of_ip()
   for first = 0x50, 0x7F do
