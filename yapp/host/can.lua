@@ -141,7 +141,7 @@ end
 -- returns  the number of bytes that are ours
 function Dissector:dissect_without_id(tvb, pinfo, tree)
   if not (tvb:len() > 0 and self.deferral:defer(tvb, pinfo, tree, nil, true)) then
-    self.view:show_without_id(self.builder:wants(tree, pinfo, true), tvb, pinfo, tree)
+    self.view:show_without_id(pinfo, tree)
   end
   return tvb:reported_len()
 end

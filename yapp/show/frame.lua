@@ -202,16 +202,11 @@ function FrameView:show(result, wants, tvb, pinfo, tree)
   columns.info = info
 end
 
---- Show as bytes a frame that the user calls YAPP, but whose CAN id is not known.  That is the
--- first frame of Decode As, on a pass that builds no tree.
-function FrameView:show_without_id(wants, tvb, pinfo, tree)
-  local builder, item = self.builder, tree
-  if wants.yapp then
-    item = add(tree, builder.yapp, tvb())
-    if tvb:len() > 0 then add(item, self.fields.payload, tvb()) end
-  end
+--- Show a frame that the user calls YAPP, but whose CAN id is not known.  That is the first frame
+-- of Decode As, on a pass that builds no tree: an expert item says it to -z expert.
+function FrameView:show_without_id(pinfo, tree)
   pinfo.cols.protocol = "YAPP"
-  builder:add_expert(item, "can.id.missing")
+  self.builder:add_expert(tree, "can.id.missing")
 end
 
 return M
