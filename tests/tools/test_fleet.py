@@ -18,7 +18,6 @@ import pytest
 import yapp_tables as yt
 from distributed import LocalCluster
 from running import FAKE, killing, motor_row, run_tables, started, wait_for_results
-from yapp_tables import tshark
 from yapp_tables.cli import main
 
 # Ten run before a run is held, see fake_tshark.py; so four remain when the workers are killed.
@@ -145,25 +144,3 @@ def test_progress_is_a_bar_on_a_terminal_and_a_line_at_the_end_elsewhere(make_ca
     assert re.search(r"100%.*1/1 files", shown)
     again = run_tables(tmp_path, *command)
     assert again.stderr == "yapp-tables: 1 capture, 3,001 rows in data\n"
-
-
-def test_tshark_starts_once_for_a_capture_alone(make_capture, tmp_path, monkeypatch):
-    """It is asked with an empty capture only before it works on many, and whether a result is up to date."""
-    starts = []
-
-    def run(command, *arguments):
-        starts.append(command)
-        return started_by(command, *arguments)
-
-    started_by = tshark._run
-    monkeypatch.setattr(tshark, "_run", run)
-    captures = [make_capture(f"{name}.pcapng", motor=[motor_row(number)]) for number, name in enumerate("ab")]
-    for wanted, count in ((captures[0], 1), (captures[0], 1), (captures, 2)):
-        starts.clear()
-        results = yt.convert(wanted, tmp_path / "data", tshark=FAKE)
-        assert len(starts) == count
-        assert not any(result.failure for result in results)
-    (failed,) = yt.convert(make_capture("c.pcapng"), tmp_path / "data", tshark=FAKE)
-    assert "no YAPP messages" in failed.failure
-    with pytest.raises(yt.SetupError, match="no program"):
-        yt.convert(make_capture("d.pcapng", motor=[motor_row(0)]), tmp_path / "data", tshark=tmp_path / "none")

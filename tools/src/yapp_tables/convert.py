@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -48,12 +48,12 @@ def made_by(tshark: Tshark, fields: dict[str, object]) -> MadeBy:
     return MadeBy(str(fields["plugin"]), digests(fields), options, tshark.filter)
 
 
-def look_up(capture: Path, dataset: DataSet, made: Callable[[], MadeBy]) -> tuple[str, str | None, Result | None]:
+def look_up(capture: Path, dataset: DataSet, made: MadeBy) -> tuple[str, str | None, Result | None]:
     """Return the flight_id of a capture, that of what this path had before, and its result if that is up to date."""
     check_file(capture)
     flight, before = dataset.identify(capture)
     known = dataset.find(flight)
-    if known is None or not known.is_current(made()) or not dataset.has_files(known):
+    if known is None or not known.is_current(made) or not dataset.has_files(known):
         return flight, before, None
     if known.capture != str(capture) and not os.path.exists(known.capture):  # it was moved
         known = replace(known, capture=str(capture))
@@ -66,23 +66,20 @@ def convert_one(capture: StrPath, config: Config, made: MadeBy | None = None, tr
 
     It may run twice at once, and be killed at any point: the data set then has the flight once, or not yet.
 
-    made: made_by() of the machine that gives the order; this one must give the same, None for whatever it gives; tries:
-    how often a tshark that crashes is started.
+    made: made_by() of the machine that gives the order; this one must give the same; tries: how often a tshark that
+    crashes is started.
 
     Returns the Result, whose `failure` says why there is no data. Raises SetupError where no other capture would do
     better on this machine, and YappError where the data set cannot be written.
     """
     capture = Path(os.path.abspath(capture))
     tshark, aircraft = config.of(capture)
-
-    def made_here() -> MadeBy:
-        return made or made_by(tshark, tshark.fields()[0])
-
+    made = made or made_by(tshark, tshark.fields()[0])
     dataset = DataSet(config.out, config.to, config.run)
     dataset.open()
     flight = ""
     try:
-        flight, before, known = look_up(capture, dataset, made_here)
+        flight, before, known = look_up(capture, dataset, made)
         if known:
             return known
         result = _convert(capture, config, dataset, Origin(flight, capture, aircraft, tshark), made)
@@ -97,16 +94,16 @@ def convert_one(capture: StrPath, config: Config, made: MadeBy | None = None, tr
     except YappError as error:
         if tries > 1 and not isinstance(error, CaptureError):
             return convert_one(capture, config, made, tries - 1)
-        failed = Result(flight, str(capture), made_here(), failure=str(error).removeprefix(f"{capture}: "))
+        failed = Result(flight, str(capture), made, failure=str(error).removeprefix(f"{capture}: "))
         if flight:
             dataset.place(capture.parent, failed)
         return failed
 
 
-def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, made: MadeBy | None) -> Result:
+def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, made: MadeBy) -> Result:
     with dataset.aside() as aside:
         export = origin.tshark.export(capture, aside / "export")
-        made = _check(capture, origin.tshark, export, made)
+        _check(capture, origin.tshark, export, made)
         tables = all_tables(export, origin)
         name = f"{plain_name(capture)}-{origin.flight_id[:8]}{'.partial' if export.partial else ''}"
         folder = aside / "result"
@@ -140,11 +137,9 @@ def _partition(config: Config, origin: Origin, tables: Sequence[Table]) -> str:
     return f"{config.partition}={quote(value, safe='') if value else NO_PARTITION}"
 
 
-def _check(capture: Path, tshark: Tshark, export: Export, made: MadeBy | None) -> MadeBy:
-    """Return what this export was made by."""
+def _check(capture: Path, tshark: Tshark, export: Export, made: MadeBy) -> None:
     here = made_by(tshark, export.fields)
-    if made and here != made:
+    if here != made:
         raise SetupError(f"the machine that works on it has another plugin or catalogue: {here}, not {made}")
     if not present(export):
         raise CaptureError(nothing_in(capture, export, tshark.filter))
-    return here

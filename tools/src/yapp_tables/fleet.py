@@ -9,7 +9,7 @@ import io
 import os
 import re
 import uuid
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import replace
@@ -40,13 +40,12 @@ def convert(
     writer(config.to)
     config = replace(config, out=_absolute(config.out), run=uuid.uuid4().hex[:12])
     dataset = DataSet(config.out, config.to, config.run)
-    # One capture answers for tshark and plugin itself, which else start once more.
-    made = _made(found, config) if len(found) > 1 or scheduler else {}
+    made = _made(found, config)
     dataset.open()
     dataset.clean()
     try:
-        done = _current(found, config, dataset, made) if made else {}
-        waiting = {capture: made.get(config.of(capture)[0]) for capture in found if capture not in done}
+        done = _current(found, config, dataset, made)
+        waiting = {capture: made[config.of(capture)[0]] for capture in found if capture not in done}
         with _executor(scheduler, jobs or os.cpu_count() or 1) as pool:
             done |= _run(waiting, config, pool)
         _write_failures(dataset, done)
@@ -111,7 +110,7 @@ def _current(
     done = {}
     for capture in captures:
         try:
-            result = look_up(capture, dataset, lambda capture=capture: made[config.of(capture)[0]])[2]  # type: ignore[misc]
+            result = look_up(capture, dataset, made[config.of(capture)[0]])[2]
         except (YappError, OSError):  # said when it is converted
             continue
         if result:
@@ -138,8 +137,8 @@ def _executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
         yield client.get_executor(pure=False)
 
 
-def _run(jobs: Mapping[Path, MadeBy | None], config: Config, pool: Executor) -> dict[Path, Result]:
-    """Convert all, the largest first. jobs: what each must be made by, None where tshark was not asked."""
+def _run(jobs: dict[Path, MadeBy], config: Config, pool: Executor) -> dict[Path, Result]:
+    """Convert all, the largest first."""
     sizes = {capture: capture.stat().st_size if capture.exists() else 0 for capture in jobs}
     waiting = {}
     for capture in sorted(jobs, key=lambda capture: -sizes[capture]):
@@ -150,10 +149,8 @@ def _run(jobs: Mapping[Path, MadeBy | None], config: Config, pool: Executor) -> 
             capture = waiting[future]
             if future.cancelled():
                 raise SetupError("the Dask scheduler went away; the same command does the rest")
-            error, made = future.exception(), jobs[capture]
-            if isinstance(error, SetupError) and made is None:
-                raise error
-            failed = Result("", str(capture), made or MadeBy("", {}), failure=str(error) or type(error).__name__)
+            error = future.exception()
+            failed = Result("", str(capture), jobs[capture], failure=str(error) or type(error).__name__)
             done[capture] = failed if error else future.result()
             bar.set_postfix_str(f"{len(done)}/{len(jobs)} files", refresh=False)
             bar.update(sizes[capture])
