@@ -53,7 +53,7 @@ local function new_slot(source)
 end
 
 -- Return the text of a message; nil for one that is not packed.
-local function pack(message, has_fault)
+local function pack(message)
   local count, distances = CHARS[#message * PACKET], ""
   local is_usual = message.status == "good" and not (message.reserved or message.padding)
   if not (is_usual and count) then return nil end
@@ -62,21 +62,19 @@ local function pack(message, has_fault)
     if not distance then return nil end
     distances = distances .. distance
   end
-  return (has_fault and "!" or "|") .. count .. distances .. message.payload
+  return (message.has_fault and "!" or "|") .. count .. distances .. message.payload
 end
 
 --- Keep a message that has ended.
--- has_fault  true if it has a fault flag set; nil of one that was given up
-function Store:keep(message, has_fault)
+function Store:keep(message)
   local slot = self.slots[message.slot]
   if not slot then
     slot = new_slot(message.source)
     self.slots[message.slot] = slot
   end
-  local index, packed = last_until(slot.starts, message[1]) + 1, pack(message, has_fault)
-  if not packed and message.payload then message.has_fault = has_fault end
+  local index = last_until(slot.starts, message[1]) + 1
   table.insert(slot.starts, index, message[1])
-  table.insert(slot.messages, index, packed or message)
+  table.insert(slot.messages, index, pack(message) or message)
 end
 
 --- Keep the anomalies of a frame.  If its message is not known yet, the list may be empty.
@@ -123,8 +121,6 @@ function Store:forget(key, message_key, message)
   local index = slot and last_until(slot.starts, message[1])
   frame_key.forget(message, number_of(key))
   if not slot then return end
-  local kept = slot.messages[index]
-  if kept ~= message then message.has_fault = byte(kept) == FAULT end -- it was packed
   slot.starts[index], slot.messages[index] = message[1], message
 end
 
