@@ -19,7 +19,7 @@ its peers in turns. None: tshark without the plugin. ISO-TP: tshark's own reasse
 dissector can do (`tests/bench/floor.lua`). By hand: a Lua dissector for this one message, that reassembles, checks the CRC and
 has the same items, without anything else (`tests/bench/by_hand.lua`). Script: python-can and a decoder by hand, of a log
 (`tests/bench/peer.py`). One interface: the same messages in a pcapng file of one interface, where the row's has two, whose
-frames come in turns. [BENCH.md](BENCH.md) is of Wireshark 4.0, [BENCH-4.6.md](BENCH-4.6.md) of 4.6.
+frames come in turns.
 
 {about}
 ## Ratios

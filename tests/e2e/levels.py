@@ -30,9 +30,11 @@ each_once = pytest.mark.each_once
 by_version = pytest.mark.by_version
 by_route = pytest.mark.by_route
 together = pytest.mark.xdist_group
+without_tshark = pytest.mark.without_tshark  # why: tests/blind.py leaves it out
 
 MARKERS = ["deep: only in the level all", "each_once: in the level quick each value once", "by_version: all in the level version",
-           "by_route: in the level route", "xdist_group(name): in one process"]
+           "by_route: in the level route", "xdist_group(name): in one process",
+           "without_tshark(why): passes whatever tshark does"]
 
 
 def size(some, many):
