@@ -61,8 +61,7 @@ def main():
     is_bad = False
     for way in ways.split() or [*EXIT_CODES, "empty"]:
         count, found = passed(way, arguments.split() or ["tests/e2e"])
-        print("".join(f"  {name}
-" for name in found), end="")
+        print("".join(f"  {name}\n" for name in found), end="")
         print(f"blind: {way}: {len(found)} of {count} tests pass")
         is_bad = is_bad or len(found) > MAX_WRONG
     return 1 if is_bad else 0

@@ -6,7 +6,7 @@
     mutate.py --each 20 yapp/wire/crc.lua   in one
 
 A fault is another operator, another constant, a condition the other way round or a line left out.  The unit tests that load the
-module run in a copy of the tree, in Lua 5.4, until one fails.  A fault that no test sees is printed with its line before and after:
+module run in a copy of the tree, in Lua 5.4 and 5.2, until one fails.  A fault that no test sees is printed with its line before and after:
 a few of them change nothing.
 """
 import argparse
@@ -88,9 +88,9 @@ def sample(path, each, seed):
 
 def passes(folder, test):
     """Whether a file of unit tests passes in a copy of the tree."""
-    done = subprocess.run(["prlimit", f"--cpu={SECONDS}", f"--as={MEMORY}", "lua5.4", "tests/unit/run.lua", test], cwd=folder, check=False,
-                          stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "YAPP_FIRST_FAILURE": "1"}, **USER)
-    return done.returncode == 0
+    return all(subprocess.run(["prlimit", f"--cpu={SECONDS}", f"--as={MEMORY}", lua, "tests/unit/run.lua", test], cwd=folder, check=False,
+                              stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "YAPP_FIRST_FAILURE": "1"},
+                              **USER).returncode == 0 for lua in ("lua5.4", "lua5.2"))
 
 
 def survives(folder, path, mutant, tests):
