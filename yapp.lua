@@ -397,7 +397,7 @@ function yapp.init()
   socketcan.init()
   -- A first pass without trees tells a remote frame from data by its header alone.  The page in a
   -- browser pays for that; Wireshark's windows and sharkd, whose captures may be long, do not.
-  if yapp_reads_headers then socketcan.wrap(header, not settings.accepts_all) end
+  if yapp_reads_headers then socketcan.wrap(header) end
   types:reset(buses:are_several())
   if stat then stat:reset() end
   if streams then reset_reading() end

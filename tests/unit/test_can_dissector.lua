@@ -10,7 +10,7 @@ local unpack_all = table.unpack or unpack -- luacheck: ignore
 local T = {}
 
 local GLOBALS = { "Tvb", "wtap", "DissectorTable", "all_field_infos", "get_preference" }
-local MODULES = { "yapp.host.socketcan", "yapp.host.deferral", "yapp.host.can" }
+local MODULES = { "yapp.host.wrapper", "yapp.host.socketcan", "yapp.host.deferral", "yapp.host.can" }
 local EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
 local MOTOR = 0x08404000 -- ID 0x210, Start, Seq No 0
 
@@ -130,7 +130,7 @@ function T.test_headers_are_read()
   said.preferences["can.byte_swap"] = true
   lu.assertEquals(read(record(EXTENDED + MOTOR, data, true))[1], MOTOR)
   lu.assertEquals(read(record(EXTENDED + MOTOR, data, true), { match_uint = 0x0C })[1], MOTOR)
-  lu.assertEquals(read("\0\0\0\0\0\0\0")[3], 0, "shorter than a header")
+  lu.assertEquals(read("\0\0\0\0\0\0\0")[1], false, "shorter than a header")
   lu.assertEquals(read(record(EXTENDED + MOTOR, data), { match_uint = 9 })[3], 0, "of no table of ours")
 end
 
@@ -146,42 +146,6 @@ function T.test_the_wrapper_comes_and_goes()
   lu.assertEquals(seen.tables["sll.ltype"][0x0C].name, "sll")
   socketcan.wrap(proto)
   lu.assertIs(seen.tables.wtap_encap[125], proto)
-end
-
-function T.test_a_wrapper_of_the_first_pass()
-  local proto = {}
-  socketcan.wrap(proto, true)
-  local bytes = record(EXTENDED + MOTOR, "\1")
-  proto.dissector(buffer(bytes), packet(1))
-  lu.assertIs(seen.tables.wtap_encap[125], proto)
-  lu.assertEquals(proto.dissector(buffer(bytes), packet(1, { visited = true })), 16)
-  lu.assertEquals(seen.tables.wtap_encap[125].name, "pcap")
-end
-
--- At bytes that are not there a C dissector throws past Lua, which costs two of Lua's 200 nested calls for good.
-function T.test_truncated_frames()
-  local bytes = record(EXTENDED + MOTOR, "\1\2\3")
-  read(bytes, { reported = 16 })
-  lu.assertEquals(seen.inner[2]:reported_len(), 16)
-  for _ = 1, 60 do read(bytes, { reported = 16 }) end -- calls that return cost none of Lua's
-  lu.assertEquals(seen.inner[2]:reported_len(), 16)
-  read(record(MOTOR % 0x800, "\1\2\3"), { reported = 16 })
-  lu.assertEquals(seen.inner[2]:reported_len(), 11, "it cannot be YAPP")
-  said.throws = true
-  lu.assertEquals(read(bytes, { reported = 16 })[3], 11)
-end
-
-function T.test_calls_that_never_return()
-  local proto = {}
-  socketcan.wrap(proto)
-  said.never_returns = true
-  for _ = 1, 26 do -- these are not handed on as truncated ones
-    coroutine.wrap(proto.dissector)(buffer(record(MOTOR % 0x800, "\1\2\3"), 16), packet(3))
-  end
-  for count = 1, 26 do
-    coroutine.wrap(proto.dissector)(buffer(record(EXTENDED + MOTOR, "\1\2\3"), 16), packet(3))
-    lu.assertEquals(seen.inner[2]:reported_len(), count <= 24 and 16 or 11, count)
-  end
 end
 
 -- Fields and columns, where no header was read ------------------------------------------------------------------------

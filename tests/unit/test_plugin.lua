@@ -383,7 +383,7 @@ end
 function T.test_headers_that_are_read_at_once()
   _G.yapp_reads_headers = true
   local protos = open()
-  lu.assertEquals(seen.arguments["socketcan.wrap"], { protos.yapp_socketcan, true })
+  lu.assertEquals(seen.arguments["socketcan.wrap"], { protos.yapp_socketcan })
 end
 
 -- Preferences --------------------------------------------------------------------------------------------------------

@@ -9,11 +9,12 @@
 -- frame.  So it begins only with Decode As, yapp.all_extended or a statistic.  If only statistics
 -- are wanted, it ends: a tap, which sees the whole packet, reads the headers that are needed.
 
+local wrapper = require "yapp.host.wrapper"
+
 local M = {}
 
 local EXTENDED, MASK = 0x80000000, 0x20000000
 local HEADER = 8 -- bytes that have the id
-local MAX_THROWN = 24
 local NO_COLUMN = "(info)" -- the text of a column if there are no columns
 
 -- The latest header that was read: { number = of its packet, can_id = 29 bits, nil if it is not of
@@ -115,67 +116,32 @@ function M.id_before(tvb, pinfo, offset, length, known_id)
   return id
 end
 
--- How many calls for truncated frames did not return: at bytes that are not there a C dissector
--- throws past Lua, which costs 2 of Lua's 200 nested calls for good.
-local thrown = 0
-
--- Let SocketCAN dissect a frame.  Of a truncated frame SocketCAN sees only the captured bytes, if
--- the frame cannot be YAPP or if dissectors have thrown too often.
-local function call_socketcan(inner, can_id, tvb, pinfo, tree)
-  local length = tvb:len()
-  if length < HEADER then return 0 end
-  local is_complete = length == tvb:reported_len()
-  if not is_complete and (not can_id or thrown >= MAX_THROWN) then
-    tvb, is_complete = tvb(0, length):tvb(), true
-  end
-  if not is_complete then thrown = thrown + 1 end
-  -- If this fails, Wireshark has added an item that says so.
-  local ok, taken = pcall(inner.call, inner, tvb, pinfo, tree)
-  if not is_complete then thrown = thrown - 1 end
-  return ok and taken or length
-end
-
 -- Where CAN frames come from: table, value in it, and whether the id is in the host's order, which
 -- is little endian on every machine of today.
-local ORIGINS = {
-  { "wtap_encap", wtap.SOCKETCAN, false },
-  { "sll.ltype", 0x0C, true },
-  { "sll.ltype", 0x0D, true },
+local SOURCES = {
+  { "wtap_encap", wtap.SOCKETCAN },
+  { "sll.ltype", 0x0C },
+  { "sll.ltype", 0x0D },
 }
-local origins -- [value] = { inner = dissector, is_little, dissectors = its table }, while it reads
+
+local function read_header(tvb, pinfo, value)
+  -- In its own encapsulation a preference says that a little endian machine wrote the records.
+  local is_little = value ~= wtap.SOCKETCAN or get_preference("can.byte_swap")
+  header.number, header.can_id = pinfo.number, header_id(tvb, is_little)
+end
+
+local wrapper_of_can
 
 --- Read the CAN header of every frame from now on.
--- proto          a Proto for the wrapper
--- is_first_pass  true if only frames that are new are read: the first one that is not ends it
-function M.wrap(proto, is_first_pass)
-  if origins then return end
-  origins = {}
-  function proto.dissector(tvb, pinfo, tree)
-    local value = pinfo.match_uint
-    local origin = origins[value]
-    if not origin then return 0 end
-    -- The user says that a little endian machine wrote the records in its own byte order.
-    local is_swapped = value == wtap.SOCKETCAN and get_preference("can.byte_swap")
-    local can_id = header_id(tvb, origin.is_little or is_swapped)
-    header.number = pinfo.number
-    header.can_id = can_id
-    if is_first_pass and pinfo.visited then M.unwrap() end
-    return call_socketcan(origin.inner, can_id, tvb, pinfo, tree)
-  end
-  for _, row in ipairs(ORIGINS) do
-    local dissectors, value = DissectorTable.get(row[1]), row[2]
-    local inner = dissectors:get_dissector(value)
-    if inner then
-      origins[value] = { inner = inner, is_little = row[3], dissectors = dissectors }
-      dissectors:add(value, proto)
-    end
-  end
+-- proto  a Proto for the wrapper
+function M.wrap(proto)
+  wrapper_of_can = wrapper_of_can or wrapper.new(proto, SOURCES, read_header)
+  wrapper_of_can:start()
 end
 
 --- Read no more headers.
 function M.unwrap()
-  for value, origin in pairs(origins or {}) do origin.dissectors:add(value, origin.inner) end
-  origins = nil
+  if wrapper_of_can then wrapper_of_can:stop() end
 end
 
 return M
