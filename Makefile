@@ -130,10 +130,9 @@ valgrind: needs-tests
 	$(call install-missing,valgrind,valgrind)
 	/usr/bin/env python3 tests/valgrind.py
 
-## Beside its peers, into docs/BENCH.md: RUNS=5; LONG=1 long captures too, so often; BASE=folder another version.  Never fails
-bench:
-	-@$(MAKE) --no-print-directory needs-bench
-	-/usr/bin/env python3 tests/bench/bench.py $(if $(RUNS),--runs $(RUNS)) $(if $(LONG),--long $(LONG)) $(if $(BASE),--base "$(BASE)")
+## Beside its peers, on this tshark and on 4.6 (tests/matrix makes its chroot), into docs/BENCH.md: RUNS=5, BASE=folder another version
+bench: needs-bench
+	/usr/bin/env python3 tests/bench/bench.py $(if $(RUNS),--runs $(RUNS)) $(if $(BASE),--base "$(BASE)")
 
 ## Whether traffic of the worst kind costs more the longer it is: RUNS=2 PACKETS=10000.  Never fails
 hostile: needs-tshark needs-python

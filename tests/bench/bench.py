@@ -1,266 +1,164 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Measures the plugin beside its peers and writes docs/BENCH.md: make bench, make bench RUNS=5 LONG=1 BASE=folder
+"""Measures the plugin beside its peers and writes docs/BENCH.md: make bench, make bench RUNS=5 BASE=folder
 
-Each work of works.py is done by each of its peers in turns, RUNS times; what counts is the CPU time of the whole process,
-user and system, and the most memory it had.  A peer that cannot be had is a row that says so, never a failure.
+Each work is done by each of its peers in turns, RUNS times, on this machine's tshark and on that of each chroot of tests/matrix.
+What counts is the median of the CPU time of the whole process, user and system; memory is the most it had.
+
+    none    tshark without the plugin
+    hand    tests/bench/by_hand.lua: a Lua dissector for this one message and nothing besides
+    script  tests/bench/peer.py: python-can and a decoder by hand
+    base    another version of the plugin, a checkout
+    list    the plugin's packet list of the same messages
 """
 import argparse
-import contextlib
-import datetime
+import collections
 import os
 import pathlib
-import platform
 import re
 import shutil
+import statistics
 import subprocess
 import sys
-import tempfile
-import threading
 
 HERE = pathlib.Path(__file__).resolve().parent
 TOP = HERE.parents[1]
 sys.path[:0] = [str(HERE), str(TOP / "tests/e2e")]
-import report  # noqa: E402
 import traffic  # noqa: E402
 import tshark  # noqa: E402
-import works  # noqa: E402
 
-CACHE = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache") / "yapp-bench"
+CHROOTS = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache") / "yapp-matrix"
+MOTOR = ("torque_iq_commanded torque_iq_measured rpm_commanded rpm_measured dc_voltage dc_current motor_temperature motor_mode "
+         "status_flags fault_flags timestamp motor_state esc_temperature").split()
+VALUES = ["-T", "fields", *(word for name in MOTOR for word in ("-e", f"taurus.motor.{name}"))]
+FAULT = ["-Y", "taurus.motor.fault.motor_overcurrent"]
 LIMIT = 3600  # seconds of one run
-FEW = 50  # messages that each command line is tried with
+Work = collections.namedtuple("Work", "title capture options peer goal", defaults=("none", None))
+WORKS = [
+    Work("packet list", "yapp.pcap", [], "hand", 1.2),
+    Work("one fault filter", "yapp.pcap", FAULT, "hand", 1.35),
+    Work("`-V`", "yapp.pcap", ["-V"], "hand", 1.2),
+    Work("`-T fields`, 13 values", "yapp.pcap", VALUES, "hand", 1.25),
+    Work("`-z yapp,csv` of a log", "yapp.log", ["-q", "-z", "yapp,csv,-,motor"], "script", 2.0),
+    Work("`-z yapp,summary`", "yapp.pcap", ["-q", "-z", "yapp,summary"]),
+    Work("`-z yapp,check`", "yapp.pcap", ["-q", "-z", "yapp,check,crc=0"]),
+    Work("UART, 64 bytes a packet", "uart.pcap", [], "list", 0.8),
+    Work("candump log", "yapp.log", []),
+    Work("two interfaces", "two_buses.pcapng", [], "list", 1.1),
+    Work("two passes, `-2`", "yapp.pcap", ["-2"]),
+    Work("2,000 unknown IDs", "unknown.pcap", ["-o", "yapp.all_extended:TRUE"], "few", 1.3),
+    Work("foreign CAN", "isotp.pcap", [], "none", 1.04),
+    Work("foreign UDP", "udp.pcap", [], "none", 1.02),
+    Work("start: one frame", "one.pcap", [], "none", 1.08),
+]
 
 
-class NotMeasured(Exception):
-    """Why something cannot be measured."""
+class Tshark:
+    """One tshark: this machine's, or a chroot's."""
 
+    def __init__(self, root, folder):
+        if root:
+            shutil.rmtree(root / "tmp/yapp-bench", ignore_errors=True)
+            shutil.copytree(folder, root / "tmp/yapp-bench")
+            self.prefix = ["chroot", str(root), "setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
+        else:
+            self.prefix = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"] if os.geteuid() == 0 else []
+        self.folder = pathlib.Path("/tmp/yapp-bench") if root else folder
+        says = subprocess.run([*self.prefix, "tshark", "--version"], capture_output=True, text=True, check=True).stdout
+        self.version = re.search(r"\(Wireshark\) ([\d.]*\d)", says)[1]
 
-# Running ---------------------------------------------------------------------------------------------------------
-
-def surroundings(command):
-    """How a command is started: tshark with a home of its own, and as a user for whom it loads plugins."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("XDG_", "WIRESHARK_", "YAPP_"))}
-    options = {"stdin": subprocess.DEVNULL, "env": {**kept, "LC_ALL": "C.UTF-8", "TZ": "UTC"}}
-    if command[0] == "tshark":
-        options["env"]["HOME"] = str(tshark.home(plugin=False))
-        options.update(tshark._user())
-    return options
-
-
-def check(status, errors):
-    lines = [line for line in errors.splitlines() if "Running as user" not in line]
-    if status != 0 or any("Lua:" in line for line in lines):
-        raise NotMeasured((lines or [f"exit code {status}"])[0][:200])
-
-
-def output(command):
-    """What a command prints; raises NotMeasured where it fails or prints nothing."""
-    try:
-        done = subprocess.run(command, capture_output=True, timeout=LIMIT, check=False, **surroundings(command))
-    except FileNotFoundError as error:
-        raise NotMeasured(f"{error.filename} is not there") from error
-    except (OSError, subprocess.SubprocessError) as error:
-        raise NotMeasured(str(error)) from error
-    check(done.returncode, done.stderr.decode("utf-8", "replace"))
-    if not done.stdout.strip():
-        raise NotMeasured(f"{command[0]} showed nothing")
-    return done.stdout.decode("utf-8", "replace")
+    def command(self, work, peer):
+        """The command line of a peer."""
+        if peer == "script":
+            return ["/usr/bin/python3", HERE / "peer.py", self.folder / "yapp.log", self.folder / "script.csv"]
+        capture, options, script = work.capture, work.options, []
+        if peer == "list":
+            capture = "yapp.pcap"
+        elif peer == "few":
+            capture = "few_unknown.pcap"
+        if peer == "hand":
+            script = ["-X", f"lua_script:{self.folder / 'by_hand.lua'}", "-X", "lua_script1:run"]
+            options = [word.replace("taurus.motor.", "by_hand.") for word in options]
+        elif peer != "none":
+            script = ["-X", f"lua_script:{self.folder / ('base' if peer == 'base' else 'now') / 'yapp.lua'}"]
+        else:
+            options = [word for word in options if word in ("-V", "-2")]
+        return [*self.prefix, "tshark", *script, "-r", self.folder / capture, *options]
 
 
 def measure(command):
-    """One run: its Usage.
-
-    The peak of memory includes this program's own at the start of the other one: so this one stays small."""
-    with tempfile.TemporaryFile() as errors:
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=errors, **surroundings(command))
-        timer = threading.Timer(LIMIT, process.kill)
-        timer.start()
-        _, status, usage = os.wait4(process.pid, 0)
-        timer.cancel()
-        process.returncode = os.waitstatus_to_exitcode(status)
-        errors.seek(0)
-        check(process.returncode, errors.read().decode("utf-8", "replace"))
-    return report.Usage(usage.ru_utime + usage.ru_stime, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
+    """(CPU seconds, most bytes) of one run; raises where it fails or Lua does."""
+    process = subprocess.Popen(list(map(str, command)), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, stdin=subprocess.DEVNULL,
+                               env={"PATH": "/usr/sbin:/usr/bin:/bin", "HOME": "/nonexistent", "LC_ALL": "C.UTF-8", "TZ": "UTC"})
+    said = process.stderr.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0 and "Lua" not in said, f"{command}: {process.returncode} {said}"
+    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024
 
 
-def measure_work(work, broken, runs, run=measure):
-    """{ peer: list of Usage, or why it has none }.
-
-    broken  { peer: why it is not to be measured };  run: what measures a command line"""
-    results = {peer: broken.get(peer, []) for peer in work.commands}
-    for _ in range(runs * work.times):
-        for peer, command in work.commands.items():
-            if isinstance(results[peer], list):
-                try:
-                    results[peer].append(run(command))
-                except NotMeasured as error:
-                    results[peer] = str(error)
-    return results
+def measure_work(shark, work, peers, runs):
+    """Medians of a work: { peer: (CPU seconds, bytes) }; ratios of paired runs: { peer: now by the peer's }."""
+    found = {peer: [] for peer in peers}
+    for _ in range(runs):
+        for peer in peers:
+            found[peer].append(measure(shark.command(work, peer)))
+    medians = {peer: tuple(map(statistics.median, zip(*rows))) for peer, rows in found.items()}
+    ratios = {peer: statistics.median(now[0] / other[0] for now, other in zip(found["now"], rows)) for peer, rows in found.items()}
+    return medians, ratios
 
 
-# What is there ---------------------------------------------------------------------------------------------------
-
-def python_with_can():
-    """A Python that has python-can and yapp-tables: of an environment of its own, else the system's; and what it is."""
-    ours = CACHE / "venv"
-    packages = ("import can, deltalake, platform, yapp_tables; print('python-can', can.__version__, 'yapp-tables', "
-                "yapp_tables.__version__, 'on Python', platform.python_version())")
-    with contextlib.suppress(OSError, subprocess.SubprocessError):
-        if not (ours / "bin/python").exists():
-            subprocess.run([sys.executable, "-m", "venv", ours], check=True, capture_output=True)
-        if subprocess.run([ours / "bin/python", "-c", packages], capture_output=True, check=False).returncode:
-            subprocess.run([ours / "bin/python", "-m", "pip", "install", "-q", "python-can", "-e", f"{TOP}/tools[delta]"], check=True, capture_output=True)
-    for python in (str(ours / "bin/python"), "/usr/bin/python3"):
-        with contextlib.suppress(NotMeasured):
-            return python, output([python, "-c", packages]).strip()
-    return "/usr/bin/python3", "the system's Python and python-can, without yapp-tables"
+def table(shark, works, has_base, runs):
+    """The lines of one version."""
+    base = " now / base |" if has_base else ""
+    yield f"\n## Wireshark {shark.version}\n\n| work | now, s | MB | of the peer |{base} goal |\n|---|---|---|---|{'---|' if has_base else ''}---|\n"
+    for work in works:
+        peers = list(dict.fromkeys(["now", work.peer, *(["base"] if has_base else [])]))
+        medians, ratios = measure_work(shark, work, peers, runs * (3 if "start" in work.title else 1))
+        cells = [work.title, f"{medians['now'][0]:.2f}", f"{medians['now'][1] / 1e6:.0f}", f"{ratios[work.peer]:.2f} of {work.peer}"]
+        cells += [f"{ratios['base']:.2f}"] if has_base else []
+        goal = "" if not work.goal else f"{work.goal:g}" + ("" if ratios[work.peer] <= work.goal else ", missed")
+        yield f"| {' | '.join([*cells, goal])} |\n"
 
 
-def try_out(asked, loaded):
-    """Runs each command line on few messages: { title: { peer: why it cannot be measured } }."""
-    unloaded = {}
-    for peer, shark in loaded.items():
-        try:
-            output(shark.now("yapp.pcap", "-Y", "yapp.crc.status == 1"))
-        except NotMeasured as error:
-            unloaded[peer] = f"the plugin does not load: {error}"
-    broken = {}
-    for work in asked:
-        why = broken[work.title] = {}
-        for peer, command in work.commands.items():
-            whose = "before" if peer.startswith("before") else "now" if peer.startswith(("now", "list", "one")) else peer
-            try:
-                if whose in unloaded:
-                    raise NotMeasured(unloaded[whose])
-                output(command)
-            except NotMeasured as error:
-                why[peer] = str(error)
-    return broken
-
-
-def lua_version():
-    """The version of Lua in tshark: "5.2.4"; None where it does not say."""
-    with contextlib.suppress(NotMeasured):
-        found = re.search(r"with\s+Lua\s+([\d.]*\d)", output(["tshark", "--version"]))
-        return found and found[1]
-
-
-def pure_parts(capture, runs):
-    """Seconds of the pure parts by tshark's Lua on its own; empty where it is not there."""
-    lua = "lua" + ".".join((lua_version() or "5.2").split(".")[:2])
-    try:
-        times = [dict(line.split("\t") for line in output([lua, str(HERE / "parts.lua"), str(capture)]).splitlines())
-                 for _ in range(runs)]
-        return report.steps([{name: float(value) for name, value in one.items()} for one in times])
-    except (NotMeasured, ValueError) as error:
-        print(f"the pure parts: not measured: {error}")
-        return {}
-
-
-def commit(folder):
-    """Which commit a checkout is at, with "-dirty" where it is not quite that."""
-    with contextlib.suppress(NotMeasured):
-        return " at " + output(["git", "-c", "safe.directory=*", "-C", str(folder), "describe", "--always", "--dirty"]).strip()
-    return ""
-
-
-def plugin_version(folder):
-    with contextlib.suppress(OSError):
-        found = re.search(r'^local VERSION = "(.*)"', (folder / "yapp.lua").read_text(encoding="utf-8"), re.MULTILINE)
-        return (found[1] if found else "of no version") + commit(folder)
-    return "not there"
-
-
-def machine():
-    """Model of the CPU, cores."""
-    with contextlib.suppress(OSError):
-        found = re.search(r"model name\s*:\s*(.*)", pathlib.Path("/proc/cpuinfo").read_text(encoding="utf-8"))
-        if found:
-            return f"{found[1]}, {os.cpu_count()} cores"
-    return f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores"
-
-
-# The whole -------------------------------------------------------------------------------------------------------
-
-def about(options, python, load):
-    """The lines of BENCH.md that say what was measured where."""
-    try:
-        version = ".".join(map(str, tshark.version()))
-    except (OSError, subprocess.SubprocessError, IndexError):
-        version = "not there"
-    lines = [f"tshark {version}, Lua {lua_version() or 'not there'}; plugin {plugin_version(TOP)}" +
-             (f"; before: {plugin_version(options.base)}" if options.base else ""), python,
-             f"{machine()}, {platform.system()} {platform.release()}; load {load[0]:.1f} before, {os.getloadavg()[0]:.1f} after",
-             f"{datetime.date.today()}; {options.messages:,} messages, {options.messages * traffic.FRAMES:,} frames; "
-             f"RUNS={options.runs}" + (f" LONG={options.long}" if options.long else "")]
-    return "".join(f"- {line}\n" for line in lines)
-
-
-def all_works(options, python, usual, long):
-    """What was asked for, on the traffic in two folders."""
-    shark = works.Shark(TOP, usual)
-    found = works.works(shark, python, options.messages)
-    if options.long:
-        found += works.long_works(shark, works.Shark(TOP, long), python)
-    found = [work for work in found if options.only in work.title]
-    return [works.with_version(work, TOP, options.base) for work in found] if options.base else found
-
-
-def make_traffic(options, folder):
-    """The folders of the usual and of the long traffic."""
-    usual, long = traffic.make(folder / "usual", options.messages), folder / "long"
-    if options.long:
-        traffic.make(long, options.messages * works.LONGER, ["yapp.pcap", "isotp.pcap"])
-        traffic.make(long, options.messages * works.LOG_LONGER, ["yapp.log"])
-    return usual, long
-
-
-def measure_all(options, folder, python):
-    """The works, the results, and seconds of the pure parts."""
-    few = traffic.make(folder / "few", FEW)
-    broken = try_out(all_works(options, python, few, few), plugins(options, few))
-    usual, long = make_traffic(options, folder)
-    asked, results = all_works(options, python, usual, long), {}
-    for work in asked:
-        runs = options.long if work.title in works.LONG else options.runs
-        results[work.title] = measure_work(work, broken[work.title], runs)
-        print(work.title, *(f"{peer} {report.shown(report.median(results, work.title, peer)) or '-'}" for peer in work.commands),
-              sep="  ", flush=True)
-    return asked, results, pure_parts(usual / "yapp.pcap", options.runs)
-
-
-def plugins(options, folder):
-    found = {"now": works.Shark(TOP, folder)}
-    return {**found, "before": works.Shark(options.base, folder)} if options.base else found
-
-
-def text(options, head, asked, results, pure):
-    return report.WHOLE.format(
-        about=head, ratios=report.ratios(results, asked), seconds=report.seconds(results, asked),
-        reasons=report.reasons(results), memory=report.memory(results),
-        long=report.long_captures(results, options.messages * works.LOG_LONGER * traffic.FRAMES),
-        where=report.where_text(results, pure, options.messages))
+def prepare(folder, messages, plugins):
+    """The captures, the dissector by hand, and the plugins: { name: folder of its tree }."""
+    traffic.make(folder, messages)
+    for name, count in (("unknown.pcap", 2000), ("few_unknown.pcap", 8)):
+        traffic.write_pcap(folder / name, traffic.SOCKETCAN, traffic.unknown_packets(messages, count))
+    shutil.copy(HERE / "by_hand.lua", folder)
+    for name, plugin in plugins.items():
+        tshark.copy_plugin(folder / name, plugin)
+    tshark.copy_plugin(folder, plugins["now"])  # by_hand.lua takes the CRC and the catalogue of it
+    subprocess.run(["chmod", "-R", "a+rwX", folder], check=True)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=3, help="how often each command is run")
-    parser.add_argument("--long", type=int, default=0, metavar="RUNS", help="long captures too, so often")
-    parser.add_argument("--base", type=lambda path: pathlib.Path(path).resolve(), help="a checkout of another version")
+    parser.add_argument("--base", type=pathlib.Path, help="a checkout of another version")
     parser.add_argument("--messages", type=int, default=20_000)
-    parser.add_argument("--only", default="", metavar="WORD", help="only works with this in their title; writes no file")
-    parser.add_argument("--out", type=pathlib.Path, default=TOP / "docs/BENCH.md")
+    parser.add_argument("--only", default="", metavar="WORD", help="works with this in their title; writes no file")
+    parser.add_argument("--suite", action="append", help="here, trixie or sid; all that are there by default")
     options = parser.parse_args()
-    load, (python, says) = os.getloadavg(), python_with_can()
     folder = tshark.writable_folder()
+    works = [work for work in WORKS if options.only in work.title]
+    says = ["# How fast it is\n\n", "Written by `make bench`: medians of whole processes, in turns with their peers, see\n`tests/bench/bench.py`. "
+            f"{options.messages:,} messages of five frames, {os.cpu_count()} cores, {options.runs} runs.\n"]
     try:
-        asked, results, pure = measure_all(options, folder, python)
+        prepare(folder, options.messages, {"now": TOP, **({"base": options.base} if options.base else {})})
+        for suite in options.suite or ["here", "sid"]:
+            root = None if suite == "here" else CHROOTS / suite
+            if root and not (root.exists() and os.geteuid() == 0):
+                print(f"bench: {suite} is left out: tests/matrix makes its chroot, as root")
+                continue
+            for line in table(Tshark(root, folder), works, bool(options.base), options.runs):
+                print(line, end="", flush=True)
+                says.append(line)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    said = text(options, about(options, says, load), asked, results, pure)
-    print("", said, sep="\n")
-    if not options.only:
-        options.out.write_text(said, encoding="utf-8")
+    if not options.only and not options.suite:
+        (TOP / "docs/BENCH.md").write_text("".join(says), encoding="utf-8")
 
 
 if __name__ == "__main__":

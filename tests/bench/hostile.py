@@ -13,7 +13,6 @@ import struct
 import bench  # which finds the rest
 import traffic
 import tshark
-import works
 
 LONGER, LIMIT = 4, 1.3
 NEVER = 65535  # bytes of a message that never ends
@@ -88,7 +87,7 @@ CASES = {
 
 
 def least(shark, name, runs):
-    return min(bench.measure(shark.now(name)).cpu for _ in range(runs))
+    return min(bench.measure(shark.command(bench.Work("", name, []), "now"))[0] for _ in range(runs))
 
 
 def main():
@@ -98,9 +97,9 @@ def main():
     parser.add_argument("--only", default="", metavar="WORD")
     options = parser.parse_args()
     folder = tshark.writable_folder()
-    shark = works.Shark(bench.TOP, folder)
+    bench.prepare(folder, 1, {"now": bench.TOP})
+    shark = bench.Tshark(None, folder)
     try:
-        traffic.make(folder, 1, ["one.pcap"])
         begin = least(shark, "one.pcap", 2 * options.runs)
         print(f"start {begin:.2f} s; {options.packets:,} packets, and {LONGER} times as many")
         for title, (linktype, packets) in CASES.items():

@@ -60,6 +60,14 @@ def can_packets(count, frames):
             yield struct.pack(">IBxxx", can_id | 0x80000000, len(data)) + data.ljust(8, b"\0")
 
 
+def unknown_packets(count, ids):
+    """The messages under so many IDs in turns, from 0x020 on; two of 2,000 are known."""
+    for number, payload in enumerate(messages(count)):
+        shift = 0x20 + number % ids
+        for can_id, data in yapp_frames(payload):
+            yield struct.pack(">IBxxx", can_id & 0x3FFFF | shift << 18 | 0x80000000, len(data)) + data.ljust(8, b"\0")
+
+
 def datagrams(count):
     rng = random.Random(1)
     for _ in range(count * FRAMES):
