@@ -63,8 +63,6 @@ def meaning(name, column, columns):
     """What a field is."""
     if column.difference:
         return f"{column.title}: `{column.difference[0]}` less `{column.difference[1]}`"
-    if name == "command_lag":
-        return "Time from a change of the Command to 63 % of it, in the row that reached it; null elsewhere"
     if name.endswith("_special") and name.removesuffix("_special") in columns:
         return "the reserved value: `nan`, `inf`, `-inf`, `above`, `below`"
     if name.endswith("_text") and name.removesuffix("_text") in columns:

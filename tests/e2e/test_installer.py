@@ -315,7 +315,7 @@ def test_where_yapp_tables_is(home):
 
 
 def test_files_that_a_later_version_does_not_have(home, source):
-    """Such as the folder of modules of 2.0: its files go, but for those that the user changed or put there."""
+    """Its files go, but for those that the user changed or put there."""
     run(home, source=source)
     modules, names = home / YAPP / "yapp", ("yapp_former.lua", "yapp_other.lua")
     modules.mkdir()
@@ -326,75 +326,11 @@ def test_files_that_a_later_version_does_not_have(home, source):
     (home / YAPP / "installed.json").write_text(json.dumps(listed))
     mine = edit(modules / "yapp_other.lua")
     (modules / "my_own.lua").write_text("return {}\n")
-    line_of(run(home, source=source), "kept", "yapp_other.lua.edited")
-    assert {path.name for path in modules.iterdir()} == {"my_own.lua", "yapp_other.lua.edited"}
-    assert (modules / "yapp_other.lua.edited").read_bytes() == mine
+    line_of(run(home, source=source), "kept", "yapp_other.lua: you changed it")
+    assert {path.name for path in modules.iterdir()} == {"my_own.lua", "yapp_other.lua"}
+    assert (modules / "yapp_other.lua").read_bytes() == mine
     run(home, "uninstall", source=source)
-    assert {path.name for path in modules.iterdir()} == {"my_own.lua", "yapp_other.lua.edited"}
-
-
-def git(*arguments):
-    """What git says; nothing where there is none."""
-    if not shutil.which("git"):
-        return b""
-    return subprocess.run(["git", "-c", "safe.directory=*", "-C", tshark.ROOT, *arguments], capture_output=True,
-                          check=False).stdout
-
-
-def version_1():
-    """The files of 1.0.0, from git: nothing where there is no history."""
-    names = git("ls-tree", "-r", "--name-only", "1a1883c", "--", *tshark.PLUGIN_FILES).decode().split()
-    return {name: git("show", f"1a1883c:{name}") for name in names}
-
-
-@pytest.mark.skipif(not version_1(), reason="no git history here")
-@pytest.mark.parametrize("edited", [(), ("taurus_fields.lua", "yapp/yapp_crc.lua")])
-def test_upgrade_from_version_1(home, edited):
-    """It left no list of its files: all of them are kept, where Wireshark does not run them."""
-    for name, content in version_1().items():
-        path = home / YAPP / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content + (b"-- mine\n" if name in edited else b""))
-    for path in [home, *home.rglob("*")]:
-        path.chmod(0o777 if path.is_dir() else 0o666)
-    lines = run(home)
-    before = home / ".config/wireshark/yapp.before"
-    line_of(lines, "kept", str(before))
-    assert sum(line.startswith("kept") for line in lines) == 1
-    for name, content in version_1().items():
-        assert (before / name).read_bytes() == content + (b"-- mine\n" if name in edited else b"")
-    assert all_of(home / YAPP) == {"yapp.lua", "taurus_fields.lua", "installed.json"}
-    run(home, "uninstall")
-    assert not (home / YAPP).exists() and before.exists()
-
-
-VERSION_2 = "6956db6"  # 2.0.0
-
-
-@pytest.mark.skipif(not git("cat-file", "-t", VERSION_2), reason="no git history here")
-@pytest.mark.parametrize("edited", ["", "yapp/yapp_crc.lua"])
-def test_upgrade_from_version_2(home, folder, edited):
-    """Its modules lay in a folder yapp; somebody looked at its graphs."""
-    old = folder / "old"
-    old.mkdir()
-    packed = git("archive", VERSION_2, "--", *tshark.PLUGIN_FILES, "tools", "extcap", "profiles")
-    subprocess.run(["tar", "-x", "-C", old], input=packed, check=True)
-    run(home, source=old)
-    assert len(list((home / YAPP / "yapp").iterdir())) > 70
-    look_at_graphs(home / PROFILE)
-    if edited:
-        edit(home / YAPP / edited)
-    lines = run(home)
-    assert sum(line.startswith("kept") for line in lines) == bool(edited)
-    if edited:
-        line_of(lines, "kept", f"{edited}.edited")
-    aside = {"yapp", edited + ".edited"} if edited else set()
-    assert all_of(home / YAPP) == {"yapp.lua", "taurus_fields.lua", "installed.json"} | aside
-    for path in (tshark.ROOT / "profiles/YAPP").iterdir():
-        if path.name != "recent":  # Wireshark's, once it is there
-            assert (home / PROFILE / path.name).read_bytes() == path.read_bytes()
-    run(home, "uninstall")
-    assert all_of(home / YAPP) == aside
+    assert {path.name for path in modules.iterdir()} == {"my_own.lua", "yapp_other.lua"}
 
 
 def test_a_damaged_list(home):

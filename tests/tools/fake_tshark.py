@@ -33,8 +33,26 @@ COLUMNS = {
 }  # fmt: skip
 if "FAKE_COLUMN" in os.environ:  # a catalogue that has another field
     COLUMNS["motor"].append(json.loads(os.environ["FAKE_COLUMN"]))
+WHO = "bus string, id id, source string, message string"
+STATISTICS = {
+    "events": f"kind string, time time, frame integer, {WHO}, field string, flag string, event string, active seconds, "
+    "length seconds, what string, value text, size integer, count integer, like string, help string",
+    "faults": f"time time, frame integer, {WHO}, field string, flag string, event string, active seconds, help string",
+    "summary": f"{WHO}, count integer, rate number, gap_min seconds, gap_mean seconds, gap_max seconds, "
+    "gap_max_frame integer, crc_bad integer, incomplete integer, late integer, reboots integer, values values, "
+    "missing integer, copies integer",
+}
+
+
+def described(text):
+    """The columns "name type, name type" as fields.json has them."""
+    pairs = [pair.split() for pair in text.split(", ")]
+    return {"columns": [{"name": name, "type": type_, "unit": None, "title": name} for name, type_ in pairs]}
+
+
 FIELDS = {
     "version": 1,
+    "statistics": {name: described(text) for name, text in STATISTICS.items()},
     "plugin": os.environ.get("FAKE_VERSION", "1.0"),
     "messages": {
         "motor": {"title": "Motor Data", "every": 0.1, "columns": COLUMNS["motor"]},

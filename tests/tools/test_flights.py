@@ -53,11 +53,11 @@ def test_types_and_what_the_metadata_says(flight):
     motor = yt.read(flight[0], options=flights.OPTIONS, plugin=PLUGIN)["motor"].schema
     assert motor.names[:8] == ["time", "source_file", "bus", "frame", "source", "controller", "id", "seq"]
     assert motor.field("time").type == pa.timestamp("ns", tz="UTC")
-    assert [motor.metadata[key] for key in (b"title", b"every", b"schema")] == [b"Motor Data", b"0.1", b"4"]
+    assert [motor.metadata[key] for key in (b"title", b"every", b"schema")] == [b"Motor Data", b"0.1", b"5"]
     kind = pa.dictionary(pa.int32(), pa.string())
     types = {"rpm_measured": pa.float64(), "motor_mode": pa.uint8(), "motor_mode_text": kind, "bus": kind}
     types |= {"fault_flags": pa.uint32(), "fault_motor_stall": pa.bool_(), "esc_temperature_special": kind}
-    types |= {"timestamp": pa.duration("ns"), "rpm_error": pa.float64(), "command_lag": pa.duration("ns")}
+    types |= {"timestamp": pa.duration("ns"), "rpm_error": pa.float64()}
     assert {name: motor.field(name).type for name in types} == types
     assert motor.field("rpm_measured").metadata[b"unit"] == b"RPM"
     assert json.loads(motor.field("motor_mode").metadata[b"values"]) == {"0": "Torque Mode", "1": "Speed Mode"}

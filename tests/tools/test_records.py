@@ -5,8 +5,9 @@ from decimal import Decimal
 from types import SimpleNamespace
 
 import pytest
+from fake_tshark import FIELDS
 from yapp_tables.incidents import fault_rows, joined, other_rows
-from yapp_tables.records import EVENTS, SUMMARY, columns_of, controllers, faults, incidents, table
+from yapp_tables.records import columns_of, controllers, faults, incidents, table
 
 
 def event(at, kind="fault", flag="stall", **more):
@@ -44,9 +45,9 @@ def cleared(at, **more):
 )
 def test_incidents(rows, count):
     """The page of a flight has as many."""
-    events = table(rows, EVENTS)
+    events = table(rows, columns_of(FIELDS, "events"))
     assert incidents(events) == count
-    shown = events.set_column(0, "at", events["time"].cast("int64")).to_pylist()
+    shown = events.drop_columns("time").append_column("at", events["time"].cast("int64")).to_pylist()
     for row, controller in zip(shown, controllers(shown), strict=True):
         row |= {"at": row["at"] / 1e9 - 1_700_000_000, "title": "", "controller": controller}
         row["who"] = row["source"] or str(row["id"])
@@ -55,28 +56,21 @@ def test_incidents(rows, count):
     assert sum(incident["is_fault"] for incident in found) == count
 
 
-def described(name, type_, **more):
-    return {"name": name, "type": type_, "unit": None, "title": name} | more
-
-
-def test_columns_that_only_the_plugin_knows():
-    """They follow the known ones with type, unit and meaning; what nobody describes comes as JSON in `other`."""
-    new = [described("jitter", "seconds", unit="s", help="how the gaps differ"), described("since", "time")]
-    new += [described("count", "text"), described("values", "values"), described("word", "string")]
-    columns = columns_of({"statistics": {"summary": {"columns": new}}}, "summary")
-    assert list(columns) == [*list(SUMMARY)[:-1], "jitter", "since", "word", "other"]
-    assert columns["count"] == SUMMARY["count"]
+def test_the_columns_are_those_that_the_plugin_describes():
+    """With type, unit and meaning; what nobody describes comes as JSON in `other`."""
+    own = {"name": "jitter", "type": "seconds", "unit": "s", "title": "x", "help": "how the gaps differ"}
+    described = FIELDS["statistics"]["summary"]["columns"]
+    columns = columns_of({"statistics": {"summary": {"columns": [*described, own]}}}, "summary")
+    assert list(columns)[:5] == ["bus", "id", "source", "controller", "message"]
+    assert list(columns)[-2:] == ["jitter", "other"]
     assert (columns["jitter"].title, columns["jitter"].unit) == ("how the gaps differ", "s")
-    record = {"count": 3, "jitter": Decimal("0.25"), "since": Decimal("1.5"), "word": "x", "strange": 7, "values": {}}
+    record = {"source": "left", "count": 3, "jitter": Decimal("0.25"), "strange": 7, "values": {}}
     (row,) = table([record], columns).to_pylist()
-    assert (row["count"], row["jitter"], row["since"].timestamp(), row["word"]) == (3, 0.25, 1.5, "x")
-    assert row["other"] == '{"strange": 7}'
-    assert columns_of({}, "summary") == SUMMARY
+    assert (row["controller"], row["count"], row["jitter"], row["other"]) == ("left", 3, 0.25, '{"strange": 7}')
 
 
-def test_a_new_key_of_faults():
-    of = {name: {"columns": [described("cause", "string")]} for name in ("events", "faults")}
-    columns = {name: columns_of({"statistics": of}, name) for name in of}
-    found = faults(table([event(0, cause="heat")], columns["events"]), columns["faults"])
-    assert found["cause"].to_pylist() == ["heat"]
-    assert found.schema.names[-1] == "cause"
+def test_faults_have_what_is_described_of_them():
+    columns = columns_of(FIELDS, "faults")
+    found = faults(table([event(0, help="it is hot"), event(1, kind="reboot")], columns_of(FIELDS, "events")), columns)
+    assert found.schema.names == list(columns)
+    assert found["help"].to_pylist() == ["it is hot"]

@@ -30,7 +30,7 @@ LEAST_LOAD = Decimal("0.1")  # of the largest current, that a mean is where a ra
 HEAD = """\
 # Learnt by yapp-tables {version} from {flights}, with a margin of {margin} %.
 # A # takes a rule out; edit the numbers as you like. Behind each: the extreme of the good flights, and whose it is.
-# The first rules are those of check alone. Reserved values are in no range; .reserved is their share.
+# The first rules are those of check alone. Reserved values are in no range; .special is their share.
 """
 LEAST_SHARE = Decimal("0.05")  # of values, that may be reserved in any flight
 OF_CHECK = "damaged or lost messages may hide faults"  # what check says, and the rules count
@@ -76,17 +76,16 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
             covered = extremes[source, f"{field}.numbers"] if measure == "mean" else found
             rules.append(_rule(source, what, found, covered, apart[what], margin))
         fields = config.of(captures[0])[0].fields()[0]
-        shares, constants, flags = _reserved(extremes, fields), _constants(extremes, fields), _flags(fields)
+        shares, constants = _reserved(extremes, fields), _constants(extremes, fields)
         share = f"{(margin * 100).normalize():f}"
         head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=share)
         # The gate itself says which rules these flights keep, and what part of the values is reserved.
-        tried = [*rules, *shares, *constants, *(Rule("", text) for text in flags)]
+        tried = [*rules, *shares, *constants]
         Path(aside, "rules").write_text(_text(head, tried), encoding="utf-8")
         verdicts = {name: rows for name, (rows, _) in zip(names, ask("check,rules=rules,json"), strict=True)}
         _mark_lost([*rules, *shares, *constants], verdicts)
         rules += [rule for rule in shares if _learn_share(rule, margin)]
         rules += [rule for rule in constants if rule.seen and not rule.lost]
-        rules += _only(extremes, flags, verdicts)
     said = [f"{name}: {text}" for name, (_, texts) in told.items() for text in texts if not text.startswith(OF_CHECK)]
     return _text(head, rules), said
 
@@ -163,6 +162,7 @@ def _rule(
     covered: what the margin is a share of; apart: how far flights are apart at least, below and above.
     """
     measure = what.removesuffix(".messages").rpartition(".")[2]
+    what = what.removesuffix(".numbers")  # a range judges no reserved values
     from_zero = measure in ("rate", "gap", "spread")
     share = margin * (max(high for _, high, _ in covered) - (0 if from_zero else min(low for low, _, _ in covered)))
     room = ROOM_OF_RATIO if measure == "ratio" else Decimal(1)
@@ -228,7 +228,7 @@ def _reserved(extremes: dict[tuple[str, str], list[Extreme]], fields: Record) ->
         for column in entry["columns"]
         if column["name"].endswith("_special")
     }
-    return [Rule(source, f"{what.removesuffix('.numbers')}.reserved=0") for source, what in extremes if what in floats]
+    return [Rule(source, f"{what.removesuffix('.numbers')}.special=0") for source, what in extremes if what in floats]
 
 
 def _constants(extremes: dict[tuple[str, str], list[Extreme]], fields: Record) -> list[Rule]:
@@ -238,50 +238,6 @@ def _constants(extremes: dict[tuple[str, str], list[Extreme]], fields: Record) -
         for source, message in dict.fromkeys((source, what.partition(".")[0]) for source, what in extremes)
         for column in fields["messages"][message]["columns"]
         for number, text in (column.get("values") or {}).items()
-    ]
-
-
-def _flags(fields: Record) -> dict[str, tuple[str, str]]:
-    """Return for each flag the rule that all others may be set: {rule: ("motor.motor_state", flag)}."""
-    found: dict[str, list[str]] = {}
-    for message, entry in fields["messages"].items():
-        for column in entry["columns"]:
-            path = (column.get("filter") or "").removeprefix(f"taurus.{message}.").split(".")
-            if column.get("kind") == "flags":
-                flags = found.setdefault(f"{message}.{column['name']}", [])
-            elif column["type"] == "bool" and len(path) > 1:
-                flags.append(path[-1])
-    return {
-        f"{what}.only={'+'.join(each for each in flags if each != flag)}": (what, flag)
-        for what, flags in found.items()
-        for flag in flags
-    }
-
-
-def _only(
-    extremes: dict[tuple[str, str], list[Extreme]],
-    flags: dict[str, tuple[str, str]],
-    flights: dict[str, list[Record]],
-) -> list[Rule]:
-    """Return for each field of flags the rule that no others are set than in the good flights."""
-    apart = {(source, what.partition(".")[0]) for source, what in extremes}
-    found = defaultdict[tuple[str, str], set[str]](set)
-    for verdict in (verdict for verdicts in flights.values() for verdict in verdicts if verdict["rule"] in flags):
-        what, flag = flags[verdict["rule"]]
-        source = verdict["source"] or ""
-        if verdict["seen"] is not None:
-            own = found[source if (source, what.partition(".")[0]) in apart else "", what]
-            own |= {flag} if verdict["seen"] else set()
-    names: dict[str, list[str]] = defaultdict(list)
-    for what, flag in flags.values():
-        names[what].append(flag)
-    return [
-        Rule(
-            source,
-            f"{what}.only={'+'.join(flag for flag in names[what] if flag in own)}",
-            "" if own else "none was set",
-        )
-        for (source, what), own in found.items()
     ]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The command: yapp-tables convert, report, graphs, baseline; prune, compact, vacuum; install, check, uninstall."""
+"""The command: yapp-tables convert, report, graphs, baseline, prune; install, check, uninstall."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from pathlib import Path
 
-from . import __version__, baseline, fleet, graphs, install, upkeep
+from . import __version__, baseline, fleet, graphs, install
 from .config import Config, read_fleet
 from .convert import KINDS
 from .errors import SetupError, YappError, count_of, need
-from .tshark import Tshark
-from .undecoded import left_out
+from .tshark import Tshark, left_out
 
 FAILED, REFUSED, INCOMPLETE = 1, 2, 3
 CAPTURES = "files, patterns such as 'flights/**/*.pcapng', - for a list from stdin"
@@ -68,22 +67,6 @@ def _parser() -> argparse.ArgumentParser:
     for command in (convert, prune):
         command.add_argument("--to", choices=KINDS, default="parquet")
         command.add_argument("--out", required=True, metavar="FOLDER", help="or a URL, s3://bucket/folder")
-
-    merge = commands.add_parser("compact", help="few large files of many small ones")
-    merge.add_argument("--flights", type=_positive, default=100, metavar="N", help="in one file")
-    merge.add_argument("--megabytes", type=_positive, default=256, metavar="M", help="of one file")
-    merge.set_defaults(run=_compact)
-    sweep = commands.add_parser("vacuum", help="files of Delta tables that no recent version needs")
-    sweep.add_argument("--hours", type=_positive, default=168, metavar="N", help="that stay readable as they were")
-    sweep.set_defaults(run=_vacuum)
-    renew = commands.add_parser("upgrade", help="a data set of an older version to this one, without its captures")
-    renew.add_argument("--plugin", metavar="PATH", help="yapp.lua, where the plugin is not installed")
-    renew.add_argument("--tshark", metavar="PATH", help="the program, where it is not in PATH")
-    renew.set_defaults(run=_upgrade)
-    for command in (merge, sweep, renew):
-        command.add_argument("--out", required=True, metavar="FOLDER", help="or a URL, s3://bucket/folder")
-    for command in (merge, renew):
-        command.add_argument("--to", choices=KINDS, default="parquet")
 
     report = commands.add_parser("report", parents=[common], help="a page of a capture, pages of several")
     report.add_argument("--out", metavar="PAGE.html", help="the page; of several captures the folder")
@@ -178,23 +161,6 @@ def _convert(given: argparse.Namespace) -> int:
 def _prune(given: argparse.Namespace) -> int:
     for result in fleet.prune(given.out, given.to):
         print(f"removed   {result.capture}")
-    return 0
-
-
-def _compact(given: argparse.Namespace) -> int:
-    less = upkeep.compact(given.out, given.to, given.flights, given.megabytes)
-    _say([f"{count_of(less, 'file')} less in {given.out}"])
-    return 0
-
-
-def _vacuum(given: argparse.Namespace) -> int:
-    _say([f"{count_of(upkeep.vacuum(given.out, given.hours), 'file')} removed from {given.out}"])
-    return 0
-
-
-def _upgrade(given: argparse.Namespace) -> int:
-    done = upkeep.upgrade(given.out, given.to, Tshark(given.tshark, given.plugin))
-    _say([f"{count_of(len(done), 'flight')} upgraded in {given.out}"])
     return 0
 
 

@@ -10,15 +10,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from urllib.parse import quote
 
-from .clock import YEAR_2000
 from .config import Config, StrPath
 from .dataset import DataSet, MadeBy, Result, plain_name
 from .errors import CaptureError, SetupError, YappError, need
-from .records import SUMMARY, all_tables, name_hint, table
+from .records import YEAR_2000, all_tables, columns_of, name_hint, table
 from .sources import begin
 from .tables import Origin, Table, digests, nothing_in, present
-from .tshark import Export, Tshark, check_file
-from .undecoded import left_out
+from .tshark import Export, Tshark, check_file, left_out
 from .writers import Target, Writer
 
 # How readers of such folders call an unknown value.
@@ -115,7 +113,7 @@ def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, ma
         files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
         counts = {table.name: table.count for table in tables}
         lacks = tuple(left_out(None, export.undecoded, export.complaints))
-        hint = name_hint(table(export.records["summary"], SUMMARY))
+        hint = name_hint(table(export.records["summary"], columns_of(export.fields, "summary")))
         result = Result(
             origin.flight_id, str(capture), made, tuple(files), counts, export.partial, lacks, hint=hint,
             notes=export.notes,

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import pyarrow as pa
-import pyarrow.compute as pc
 from deltalake import DeltaTable, write_deltalake
 from deltalake.exceptions import DeltaError, TableNotFoundError
 
@@ -59,40 +58,10 @@ def delete(url: str, flight: str, messages: Iterable[str]) -> None:
         _again(lambda message=message: DeltaTable(_url(url, message)).delete(_is(flight)))  # type: ignore[misc]
 
 
-def rewrite(url: str, message: str, flights: Sequence[str], change: Callable[[str, pa.Table], pa.Table]) -> None:
-    """Put a changed table in the place of one, flight by flight, in one transaction.
-
-    change: function(flight_id, rows) -> rows, called without rows, too, for the columns.
-    """
-    old = DeltaTable(_url(url, message)).to_pyarrow_dataset()
-    schema = _schema(change("", old.schema.empty_table()).schema)
-
-    def rows() -> Iterator[pa.RecordBatch]:
-        for flight in flights:
-            table = old.to_table(filter=pc.field("flight_id") == flight)
-            if len(table):
-                yield from _rows(change(flight, table).to_batches(), schema)
-
-    reader = pa.RecordBatchReader.from_batches(schema, rows())
-    write_deltalake(_url(url, message), reader, mode="overwrite", schema_mode="overwrite")
-
-
 def compact(url: str, messages: Iterable[str]) -> None:
     """Make few large files of many small ones; readers see no difference."""
     for message in messages:
         _again(lambda message=message: DeltaTable(_url(url, message)).optimize.compact())  # type: ignore[misc]
-
-
-def vacuum(url: str, message: str, hours: int) -> list[str]:
-    """Remove the files that no version of the latest hours needs. Returns them."""
-    gone: list[str] = DeltaTable(_url(url, message)).vacuum(hours, dry_run=False, enforce_retention_duration=False)
-    return gone
-
-
-def files(url: str, message: str) -> list[str]:
-    """Return the files of the present version of a table."""
-    found: list[str] = DeltaTable(_url(url, message)).file_uris()
-    return found
 
 
 def _again(work: Callable[[], object]) -> None:

@@ -49,9 +49,7 @@ def convert(
         with _executor(scheduler, jobs or os.cpu_count() or 1) as pool:
             done |= _run(waiting, config, pool)
         _write_failures(dataset, done)
-        if config.to in ("parquet", "csv"):
-            dataset.extend()
-        elif config.to == "delta" and waiting:
+        if config.to == "delta" and waiting:
             names = {name for result in done.values() for name in result.messages}
             need(f"{__package__}.delta", "delta").compact(dataset.url, names)
         return [done[capture] for capture in found]

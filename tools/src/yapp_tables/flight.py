@@ -14,17 +14,17 @@ from .config import listed
 from .dataset import flight_id
 from .errors import CaptureError, MessageError, count_of, need
 from .html_table import html_table
-from .records import SUMMARY, columns_of, faults, name_hint, statistics, table
+from .records import columns_of, faults, name_hint, statistics, table
+from .sources import source_name
 from .tables import HEAD, Message, Origin, Rows, catalogue_version, nothing_in, present
 from .tables import messages as catalogue
-from .tshark import Export
-from .undecoded import left_out, source_name
+from .tshark import Export, left_out
 
 # The headings of the table of sources.  A newer column of the plugin is not listed: its heading is its name.
 SOURCES = {"source": "source", "bus": "bus", "message": "message", "count": "count", "rate": "rate/Hz"}
 SOURCES |= {"gap_min": "gap min/s", "gap_mean": "gap mean/s", "gap_max": "gap max/s", "gap_max_frame": "at frame"}
 SOURCES |= {"crc_bad": "crc bad"} | {name: name for name in ("incomplete", "late", "reboots")}
-SOURCES |= {name: name for name in ("invalid", "skipped", "missing", "copies")}
+HIDDEN = ("id", "controller", "other")
 
 
 class Flight(Mapping[str, pa.Table]):
@@ -56,8 +56,9 @@ class Flight(Mapping[str, pa.Table]):
         of_summary = columns_of(export.fields, "summary")
         self.summary = table(export.records["summary"], of_summary)
         # The headings of `sources`; those of columns that only the plugin knows are their names.
-        self.heads = SOURCES | {name: name.replace("_", " ") for name in of_summary if name not in SUMMARY}
-        self.statistics = statistics(export.records["summary"])
+        heads = {name: name.replace("_", " ") for name in of_summary if name not in HIDDEN}
+        self.heads = SOURCES | {name: text for name, text in heads.items() if name not in SOURCES}
+        self.statistics = statistics(export.records["summary"], columns_of(export.fields, "statistics"))
         self.aircraft: str | None = None
         self.catalogue = catalogue_version(export.fields)
         found = present(export)

@@ -28,8 +28,6 @@ import sysconfig
 from collections.abc import Iterator
 from pathlib import Path
 
-# The profile files of 2.0.0 as Wireshark rewrites them, by the first digits of their fingerprint.
-EARLIER = ("2d330114", "da941647", "f1bf3b8b", "2e49ab76", "0cae8e72", "55e79b49")
 IS_ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
 OLDEST, NOT_AS_ROOT = (4, 0), (4, 4)  # Wireshark
 SAFE_PROFILES = (4, 6, 9)  # Wireshark that runs no code of a profile that is imported
@@ -185,7 +183,7 @@ class Installation:
             return os.path.lexists(path)
         content = path.read_bytes()
         found = {hashlib.sha256(content).hexdigest(), self.fingerprint(path, content)}
-        return found.isdisjoint(self.known) and not any(each.startswith(EARLIER) for each in found)
+        return found.isdisjoint(self.known)
 
     def write(self, path: Path, content: bytes) -> None:
         """Write a file of ours, whole or not at all."""
@@ -216,17 +214,11 @@ class Installation:
         if self.hashes.pop(path, None) and os.path.lexists(path):
             if not self.is_edited(path):
                 path.unlink()
-            elif path.parent == self.target / "yapp":  # a module of 2.0, which Wireshark would run
-                path.rename(f"{path}.edited")
-                say("kept", f"{path}.edited: you changed it")
+            elif path.parent == self.target / "yapp":  # Wireshark would run it
+                say("kept", f"{path}: you changed it")
 
     def install(self, files: dict[Path, bytes]) -> None:
         """Put the files in their places, and remove those of an earlier version."""
-        if (self.target / "yapp.lua").is_file() and not self.list.exists():  # 1.0, which left no list
-            before = self.wireshark.config / "yapp.before"
-            say("kept", f"{self.target}: it has no list of its files; all of it is now in {before}")
-            self.wireshark.config.mkdir(parents=True, exist_ok=True)
-            shutil.move(str(self.target), str(before))
         for path in sorted(set(self.hashes) - set(files)):
             if path.suffix != ".new" or path.with_suffix("") not in files:
                 self.remove(path)

@@ -12,7 +12,6 @@ from typing import Any
 
 import pyarrow as pa
 
-from .clock import clock_of
 from .errors import count_of
 from .scalars import mask, repeated, table_of
 from .tables import KIND, TIME, Column, Message, Origin, Rows, Table, present
@@ -21,104 +20,49 @@ from .tshark import Export, Record
 # Events of one controller that are no further apart than this, in seconds, are one incident.
 TOGETHER = 2.0
 INCIDENT = ("fault", "reboot", "silence", "stale")
+# A step of the capture's clock, in seconds, that counts as "it was set".
+SET = 1.0
+# Nobody recorded before 2000: an earlier time counts from the recorder's own start. Nanoseconds since 1970.
+YEAR_2000 = 946_684_800_000_000_000
 # Every table's first columns, of which `table` knows nothing.
 HEAD = {"flight_id": KIND, "source_file": KIND}
-WHO = """
-bus         kind    the bus or line; null where the capture names none
-id          uint32  the message ID; null where the event is of the whole capture
-source      kind    the name that `yapp.sources` gives to the ID; null without a name
-controller  kind    the same name: all messages of a controller have it
-message     kind    the message's name in the catalogue; null if the catalogue has none
-"""
-
-
-def _columns(text: str) -> dict[str, Column]:
-    """Return columns of lines "name type meaning"; a meaning may begin with a unit, "[s] of both"."""
-    types = {"time": TIME, "kind": KIND}
-    found = {}
-    for line in text.strip().splitlines():
-        name, type_, meaning = line.split(maxsplit=2)
-        unit, _, rest = meaning[1:].partition("] ") if meaning.startswith("[") else ("", "", meaning)
-        kind = types.get(type_) or getattr(pa, type_)()
-        role = "text" if kind in (KIND, pa.string()) else "value"
-        found[name] = Column(name, kind, role, rest, unit)
-    return found
-
-
-OTHER = "other       string  what the plugin says besides, as JSON: keys that have no column of their own"
-EVENTS = _columns(f"""
-time        time    when it happened, UTC; null where nothing came
-kind        kind    what happened: `fault`, `reboot`, `silence` and others, see statistics.md
-frame       int64   the packet that shows it
-{WHO.strip()}
-field       kind    the flags or the enum concerned
-flag        kind    of a fault: the flag
-event       kind    of a fault: `raised`, `cleared`, or `active` at the end
-active      float64 [s] of a fault: how long it was there; null for `raised`
-length      float64 [s] of a silence, a jump or a step of the clock; of `skipped`: bytes
-what        kind    of `incomplete`: what was wrong with it
-value       string  of `invalid`: what the field had
-size        int64   of `unknown`: bytes of each message
-count       int64   how many messages or packets; null for one
-like        kind    of `unknown`: the message that has this size
-help        kind    what the catalogue says of the flag
-{OTHER}
-""")
-FAULT = ("time", "frame", "bus", "id", "source", "controller", "message", "field", "flag", "event", "active", "help")
-FAULTS = {name: EVENTS[name] for name in FAULT}
-# A newer column of the plugin is not listed here: columns_of adds it, as fields.json describes it.
-SUMMARY = _columns(f"""
-{WHO.strip()}
-count         int64   good messages
-rate          float64 [Hz] (count - 1) / (last - first)
-gap_min       float64 [s] the shortest time between two messages
-gap_mean      float64 [s] the mean
-gap_max       float64 [s] the longest
-gap_max_frame int64   the message behind the longest gap
-crc_bad       int64   messages with a bad CRC
-incomplete    int64   messages without their beginning, with bytes missing, truncated or unfinished
-late          int64   silences between two messages
-reboots       int64   how often the controller's clock went back
-invalid       int64   messages with a value that the catalogue does not define
-skipped       int64   stretches of bytes in a stream that belong to no frame
-missing       int64   messages missing by Seq No
-copies        int64   messages that were recorded a second time
-{OTHER}
-""")
-STATISTICS = _columns(f"""
-{WHO.strip()}
-field       kind    the field
-min         float64 its smallest value, in the unit of the message's column
-mean        float64 its mean
-max         float64 its largest value
-""")
-FLIGHTS = _columns("""
-capture      string  the path of the capture, when it was converted
-start        time    the first message, UTC; null where the capture tells no absolute time
-length       float64 [s] from the first message to the last; without steps of the clock
-is_absolute  bool_   whether the capture tells the date; if not, times count from 1970
-clock_resets int64   how often the capture's clock was set: back by over 1 s, or on by over a day
-aircraft     kind    its name in the fleet file
-plugin       string  the version of the plugin
-tools        string  the version of yapp-tables
-options      string  the preferences
-messages     int64   rows of all messages
-faults       int64   incidents with a fault; events of a controller at most 2 s apart are one incident
-partial      string  why the capture was read only in part
-undecoded    string  which messages were not decoded
-left_out     string  what else is missing, and what to know of the times and of copies
-""")
+# The types of fields.json's statistics. What has another type is an object or a list: it goes into `other`.
+TYPES = {"time": TIME, "id": pa.uint32(), "integer": pa.int64(), "number": pa.float64(), "seconds": pa.float64()}
+TYPES |= {"boolean": pa.bool_(), "string": KIND, "text": pa.string()}
+CONTROLLER = "controller", "string", "the same name: all messages of a controller have it", ""
+OTHER = "other", "text", "what the plugin says besides, as JSON: keys that have no column of their own", ""
+# Tables of this package: name, type, meaning, unit. The plugin describes events, faults and summary.
+STATISTICS = (
+    ("field", "string", "the field", ""),
+    ("min", "number", "its smallest value, in the unit of the message's column", ""),
+    ("mean", "number", "its mean", ""),
+    ("max", "number", "its largest value", ""),
+)
+FLIGHTS = (
+    ("capture", "text", "the path of the capture, when it was converted", ""),
+    ("start", "time", "the first message, UTC; null where the capture tells no absolute time", ""),
+    ("length", "number", "from the first message to the last; without steps of the clock", "s"),
+    ("is_absolute", "boolean", "whether the capture tells the date; if not, times count from 1970", ""),
+    ("clock_resets", "integer", "how often the capture's clock was set: events `clock` of more than a second", ""),
+    ("aircraft", "string", "its name in the fleet file", ""),
+    ("plugin", "string", "the version of the plugin", ""),
+    ("tools", "string", "the version of yapp-tables", ""),
+    ("options", "string", "the preferences", ""),
+    ("messages", "integer", "rows of all messages", ""),
+    ("faults", "integer", "incidents with a fault; events of a controller at most 2 s apart are one incident", ""),
+    ("partial", "text", "why the capture was read only in part", ""),
+    ("undecoded", "text", "which messages were not decoded", ""),
+    ("left_out", "text", "what else is missing, and what to know of the times and of copies", ""),
+)
+TABLES = ("events", "faults", "summary", "statistics", "flights")
 
 
 class Records(Table):
     """A table of records. rows: what makes it, once it is wanted."""
 
-    def __init__(
-        self, name: str, rows: Callable[[], pa.Table], origin: Origin, columns: Mapping[str, Column] | None = None
-    ) -> None:
+    def __init__(self, name: str, rows: Callable[[], pa.Table], origin: Origin, columns: Mapping[str, Column]) -> None:
         """Add flight_id and source_file; a column `message` would be taken for the folder's: it is `message_name`."""
         self.rows, self.origin = rows, origin
-        columns = TABLES[name] if columns is None else columns
         names = {"message": "message_name"}
         fields = [
             pa.field(names.get(each.name, each.name), each.type, metadata=_about(each)) for each in columns.values()
@@ -145,39 +89,33 @@ def _role(type_: pa.DataType) -> str:
     return "text" if type_ in (KIND, pa.string()) else "value"
 
 
-# The types of fields.json's statistics. What has another type is an object or a list: it goes into `other`.
-TYPES = {
-    "time": TIME,
-    "id": pa.uint32(),
-    "integer": pa.int64(),
-    "number": pa.float64(),
-    "seconds": pa.float64(),
-    "boolean": pa.bool_(),
-    "string": KIND,
-    "text": pa.string(),
-}
-TABLES: dict[str, dict[str, Column]] = {
-    "events": EVENTS,
-    "faults": FAULTS,
-    "summary": SUMMARY,
-    "statistics": STATISTICS,
-    "flights": FLIGHTS,
-}
+def column(name: str, type_: str, meaning: str, unit: str = "") -> Column:
+    """Return a column of a record; type_: a word of TYPES."""
+    return Column(name, TYPES[type_], _role(TYPES[type_]), meaning, unit)
 
 
 def columns_of(fields: Record, name: str) -> dict[str, Column]:
-    """Return the columns of a statistic: those of this package, then what the plugin's fields.json has besides."""
-    known = dict(TABLES[name])
-    other = {"other": known.pop("other")} if "other" in known else {}
-    described = fields.get("statistics", {}).get(name, {}).get("columns", [])
-    new = [each for each in described if each["name"] not in known and each["type"] in TYPES]
-    return known | {each["name"]: _described(each) for each in new} | other
-
-
-def _described(entry: Record) -> Column:
-    type_ = TYPES[entry["type"]]
-    about = entry.get("help") or entry.get("title") or entry["name"]
-    return Column(entry["name"], type_, _role(type_), about, entry.get("unit") or "")
+    """Return the columns of a table: as the plugin's fields.json describes them, or those of this package."""
+    if name == "flights":
+        found = [column(*each) for each in FLIGHTS]
+    else:
+        of = fields["statistics"]
+        described = of["summary" if name == "statistics" else name]["columns"]
+        if name == "events":  # a fault is an event, too
+            described = {each["name"]: each for each in (*described, *of["faults"]["columns"])}.values()
+        found = [
+            column(each["name"], each["type"], each.get("help") or each.get("title") or "", each.get("unit") or "")
+            for each in described
+            if each["type"] in TYPES
+        ]
+        names = [each.name for each in found]
+        found.insert(names.index("source") + 1, column(*CONTROLLER))
+        if name == "statistics":
+            who = ("bus", "id", "source", "controller", "message")
+            found = [each for each in found if each.name in who] + [column(*each) for each in STATISTICS]
+        elif name != "faults":
+            found.append(column(*OTHER))
+    return {each.name: each for each in found}
 
 
 def table(records: Sequence[Record], columns: Mapping[str, Column]) -> pa.Table:
@@ -192,7 +130,7 @@ ELSEWHERE = {"values"}
 
 
 def _cells(record: Record, columns: Mapping[str, Column]) -> Record:
-    cells = {name: _cell(column.type, record.get(name)) for name, column in columns.items()}
+    cells = {name: _cell(each.type, record.get(name)) for name, each in columns.items()}
     if "controller" in columns:
         cells["controller"] = record.get("source")
     more = {key: value for key, value in record.items() if key not in columns.keys() | ELSEWHERE and value is not None}
@@ -211,19 +149,18 @@ def _cell(type_: pa.DataType, value: Any) -> Any:
     return float(value) if isinstance(value, Decimal) else value
 
 
-def faults(events: pa.Table, columns: Mapping[str, Column] = FAULTS) -> pa.Table:
+def faults(events: pa.Table, columns: Mapping[str, Column]) -> pa.Table:
     """Return the flags that were raised and cleared, of all events."""
     is_fault = [kind == "fault" for kind in events["kind"].to_pylist()]
-    names = [name for name in columns if name in events.schema.names]
-    return events.filter(mask(is_fault)).select(names)
+    return events.filter(mask(is_fault)).select([name for name in columns if name in events.schema.names])
 
 
-def statistics(summary: Sequence[Record]) -> pa.Table:
+def statistics(summary: Sequence[Record], columns: Mapping[str, Column]) -> pa.Table:
     """The summary's `values`: a row for each source and field."""
     rows = [
         record | {"field": name} | values for record in summary for name, values in (record.get("values") or {}).items()
     ]
-    return table(rows, STATISTICS)
+    return table(rows, columns)
 
 
 def controllers(events: Sequence[Record]) -> list[object]:
@@ -299,7 +236,7 @@ def all_tables(export: Export, origin: Origin) -> list[Table]:
         "events": lambda: events,
         "faults": lambda: faults(events, columns["faults"]),
         "summary": lambda: table(export.records["summary"], columns["summary"]),
-        "statistics": lambda: statistics(export.records["summary"]),
+        "statistics": lambda: statistics(export.records["summary"], columns["statistics"]),
         # Asked last: the times are known then.
         "flights": lambda: _flight(export, origin, rows, events),
     }
@@ -307,17 +244,24 @@ def all_tables(export: Export, origin: Origin) -> list[Table]:
 
 
 def _flight(export: Export, origin: Origin, rows: Sequence[Rows], events: pa.Table) -> pa.Table:
-    clock = clock_of(each.stretches for each in rows)
+    ends = sorted(end for each in rows for end in each.ends)
+    steps = [float(row["length"] or 0) for row in export.records["events"] if row["kind"] == "clock"]
+    steps = [step for step in steps if abs(step) > SET]
+    length = (ends[-1][1] - ends[0][1]) / 1e9 - sum(steps)
+    start, last = ends[0][1], ends[-1][1]
+    if start < YEAR_2000 <= last:  # the recorder got the time after a while
+        start = last - round(length * 1e9)
+    is_absolute = start >= YEAR_2000
     said = [*export.complaints, *export.notes]
-    if clock.resets:
-        times = count_of(clock.resets, "time")
+    if steps:
+        times = count_of(len(steps), "time")
         said.append(f"the capture's clock was set {times}: times before and after do not compare")
-    if clock.start is None:
+    if not is_absolute:
         said.append("the capture tells no absolute time: times count from 1970")
-    about = {"capture": str(origin.capture), "start": clock.start, "length": clock.length / 1e9}
-    about |= {"is_absolute": clock.start is not None, "clock_resets": clock.resets}
+    about = {"capture": str(origin.capture), "start": start if is_absolute else None, "length": length}
+    about |= {"is_absolute": is_absolute, "clock_resets": len(steps)}
     about |= {"aircraft": origin.aircraft, "plugin": export.fields["plugin"], "tools": version("yapp-tables")}
     about |= {"options": " ".join(origin.tshark.options), "messages": sum(each.count for each in rows)}
     about |= {"faults": incidents(events), "partial": export.partial}
     about |= {"undecoded": export.undecoded or None, "left_out": "; ".join(said) or None}
-    return table_of([about], {name: column.type for name, column in FLIGHTS.items()})
+    return table_of([about], {each.name: each.type for each in columns_of({}, "flights").values()})

@@ -28,7 +28,7 @@ from .matrix import Matrix
 from .multiples import Multiples
 from .pictures import MARKS, Pictures, Record, packed
 from .records import TOGETHER, controllers
-from .undecoded import source_name
+from .sources import source_name
 
 VALUES = {"message": "message", "title": "field", "unit": "unit", "source": "source"}
 VALUES |= {name: name for name in ("min", "mean", "max")}
@@ -188,7 +188,7 @@ class Report:
         """Draw a flight; returns what went wrong."""
         self.pictures.start = start
         self.end = max(self.end, max(pc.max(flight[name]["time"]).value - start for name in flight) / 1e9)
-        own = flight.events.set_column(0, "at", flight.events["time"].cast(pa.int64()))
+        own = flight.events.drop_columns(["time"]).append_column("at", flight.events["time"].cast(pa.int64()))
         events: list[Record] = own.to_pylist()
         for event, controller in zip(events, controllers(events), strict=True):
             event["controller"] = controller

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -21,6 +22,12 @@ def split(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
     names = pc.utf8_trim_whitespace(pc.coalesce(rows["source"], number))
     for name in sorted(pc.unique(names).to_pylist(), key=natural):
         yield name, rows.filter(pc.equal(names, name))
+
+
+def source_name(row: dict[str, Any]) -> str:
+    """Return the user's name for a source, else its bus and ID: `can0 0x210`; of what has none, all of the capture."""
+    number = "" if row.get("id") is None else f"0x{row['id']:03x}"
+    return row.get("source") or " ".join(part for part in (row.get("bus"), number) if part) or "capture"
 
 
 def natural(name: str) -> list[str | int]:

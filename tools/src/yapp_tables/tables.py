@@ -15,17 +15,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
 
-from .clock import Stretches
-from .difference import difference
 from .errors import SetupError
-from .lag import LAG, Lags, steps
 from .scalars import repeated
-from .tshark import Export, Record, Tshark
-from .undecoded import left_out
+from .tshark import Export, Record, Tshark, left_out
 
 # The version of a data set, `schema` in the metadata of each table: raised when a column gets another name, type or
 # meaning.
-SCHEMA = 4
+SCHEMA = 5
 TIME = pa.timestamp("ns", tz="UTC")
 DURATION = pa.duration("ns")
 # A text of few kinds.  All tables have the same type for the same column: they are joined by it.
@@ -83,16 +79,12 @@ class Column:
 
 @dataclass(frozen=True)
 class Message:
-    """A message of the catalogue as fields.json describes it. every: its period in seconds, where it has one.
-
-    commands: where another message commands it, that message's name and {its field: the measured field here}.
-    """
+    """A message of the catalogue as fields.json describes it. every: its period in seconds, where it has one."""
 
     name: str
     title: str
     every: float | None
     columns: dict[str, Column]
-    commands: tuple[str, dict[str, str]] | None = None
 
 
 def messages(fields: Record) -> dict[str, Message]:
@@ -100,10 +92,8 @@ def messages(fields: Record) -> dict[str, Message]:
     columns = {name: _columns(name, entry) for name, entry in fields["messages"].items()}
     found = {}
     for name, entry in fields["messages"].items():
-        commands = _commands(name, columns)
-        lag = [Column(LAG, DURATION, "clock", "Command Lag", "s")] if commands else []
-        own = {column.name: column for column in [*columns[name], *lag]}
-        found[name] = Message(name, entry["title"] or name, entry.get("every"), own, commands)
+        own = {column.name: column for column in columns[name]}
+        found[name] = Message(name, entry["title"] or name, entry.get("every"), own)
     return found
 
 
@@ -129,17 +119,6 @@ def _columns(message: str, entry: Record) -> list[Column]:
             about = {"title": each["title"], "unit": each["unit"] or "", "filter": f"taurus.{message}.{name}"}
             columns.append(Column(name, pa.float64(), "value", difference=parts, **about))
     return columns
-
-
-def _commands(name: str, columns: Mapping[str, Sequence[Column]]) -> tuple[str, dict[str, str]] | None:
-    """Return the message that has a field x where this one has x_commanded and x_measured."""
-    names = {column.name for column in columns[name]}
-    for other, theirs in columns.items():
-        fields = {column.name: f"{column.name}_measured" for column in theirs if f"{column.name}_commanded" in names}
-        fields = {field: measured for field, measured in fields.items() if measured in names}
-        if other != name and fields:
-            return other, fields
-    return None
 
 
 def _column(entry: Record, given: Mapping[str, Record]) -> Column:
@@ -188,13 +167,13 @@ class Table:
 class Rows(Table):
     """The rows of one message in an export: their schema, and typed record batches, a few megabytes at a time.
 
-    stretches: of the times in the batches that were read.
+    ends: (frame, nanoseconds) of the first and the last row that were read.
     """
 
     def __init__(self, export: Export, message: Message, origin: Origin, wanted: Sequence[str] | None = None) -> None:
         """wanted: the columns to read besides the time, None for all."""
         self.origin, self.export = origin, export
-        self.stretches = Stretches()
+        self.ends: list[tuple[int, int]] = []
         self._path = export.csv(message.name)
         with self._path.open(encoding="utf-8", newline="") as file:
             self._header = next(csv.reader(file), [])
@@ -212,14 +191,16 @@ class Rows(Table):
 
     def __iter__(self) -> Iterator[pa.RecordBatch]:
         """Read the file once more from its beginning."""
-        self.count, self.stretches = 0, Stretches()
-        lags = self._lags()
+        self.count, self.ends = 0, []
         for batch in self._read():
             if batch.num_rows:
                 given = dict(zip(batch.schema.names, batch.columns, strict=True))
                 given["time"] = _nanoseconds(given["time"]).cast(TIME)
-                self.stretches.add(given["time"], given["frame"])
-                yield self._typed(given, batch.num_rows, lags)
+                last = batch.num_rows - 1
+                times = given["time"].cast(pa.int64())
+                ends = [(given["frame"][at].as_py(), times[at].as_py()) for at in (0, last)]
+                self.ends = [*self.ends[:1], ends[-1]] if self.ends else ends
+                yield self._typed(given, batch.num_rows)
                 self.count += batch.num_rows
 
     def first_time(self) -> int:
@@ -231,39 +212,21 @@ class Rows(Table):
         wanted = {*self.schema.names, "time", "frame"}
         for column in self.columns:
             wanted |= set(column.difference or ())
-        if LAG in wanted and self.message.commands:
-            wanted |= {"bus", "id", "source", *self.message.commands[1].values()}
         if "controller" in wanted:
             wanted.add("source")
         types = {column.name: column.type for column in self.message.columns.values()} | HEAD
         types = {name: pa.string() if type_ in (TIME, DURATION) else type_ for name, type_ in types.items()}
         return read_csv(self._path, [name for name in self._header if name in wanted], types)
 
-    def _lags(self) -> Lags | None:
-        """Return what measures the lags of this message behind its Command, where both are there."""
-        if LAG not in self.schema.names or self.message.commands is None:
-            return None
-        name, fields = self.message.commands
-        path = self.export.csv(name)
-        if not has_rows(path):
-            return None
-        types = {field: pa.float64() for field in fields} | {"time": pa.string(), "bus": KIND, "source": KIND}
-        with path.open(encoding="utf-8", newline="") as file:
-            names = [each for each in next(csv.reader(file)) if each in types]
-        given = pa.Table.from_batches(read_csv(path, names, types)).unify_dictionaries()
-        times = _nanoseconds(given["time"])
-        found = steps(given.set_column(given.schema.get_field_index("time"), "time", times), fields)
-        return Lags(found) if found else None
-
-    def _typed(self, given: dict[str, pa.Array], count: int, lags: Lags | None) -> pa.RecordBatch:
+    def _typed(self, given: dict[str, pa.Array], count: int) -> pa.RecordBatch:
         given["source_file"] = repeated(self.origin.capture.name, count)
         given["flight_id"] = repeated(self.origin.flight_id, count)
         given["controller"] = given.get("source")
         for column in self.columns:
             if column.difference:
-                given[column.name] = difference(*(given[name] for name in column.difference))
-            elif column.name == LAG and lags:
-                given[LAG] = lags.measure(given)
+                # Nine digits: 0.3, not 0.30000000000000004, for 0.8 less 0.5.
+                of, less = (given[name].cast(pa.float64()) for name in column.difference)
+                given[column.name] = pc.round(pc.subtract(of, less), 9)
             elif column.type == DURATION and column.name in given:
                 given[column.name] = _nanoseconds(given[column.name]).cast(DURATION)
         columns = [
