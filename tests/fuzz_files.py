@@ -431,7 +431,7 @@ def candump_file(rng, count):
         lines.append(candump_line(rng, style, now, *frame).encode())
     end = rng.choice((b"\n", b"\n", b"\r\n"))
     units = [line + end for line in damaged_lines(rng, lines)]
-    arguments = [["-X", "read_format:" + rng.choice(("yapp_candump", "yapp_candump", "yapp_candump_auto"))]]
+    arguments = [["-X", "read_format:yapp_candump"]]
     return Capture(rng.choice((".log", ".txt")), b"", units, arguments if rng.random() < 0.5 else [])
 
 

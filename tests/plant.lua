@@ -247,20 +247,17 @@ end
 -- Of a record that a reader of ours reads the last byte, or the time: by the form of the text, its pattern, and whether
 -- it has no times.
 local FORMS = {
-  yapp_asc = { { "hex", "base hex" }, { "dec", "base dec" }, { "FD", "CANFD" }, { "bare", "^%d" } },
+  yapp_asc = { { "hex", "base hex" }, { "dec", "base dec" }, { "FD", "CANFD" } },
   yapp_dump = { { "bytes", "" } },
   yapp_candump = {
     { "log", "^%b() %S+ %x+#%x" }, { "log FD", "^%b() %S+ %x+##" }, { "long", "^%b()  %S+  %x" },
-    { "screen", "^%s*can%d%s+%x+%s+%[8%]%s+%x%x%s", true }, { "swapped", "^  can.*%x%x`%x%x`", true },
-    { "binary", "^  can.*[01][01][01][01][01][01] ", true }, { "times", "^ %(%d+%.%d+%)  can" },
+    { "screen", "^%s*can%d%s+%x+%s+%[8%]%s+%x%x%s", true }, { "times", "^ %(%d+%.%d+%)  can" },
     { "dates", "^ %(%d%d%d%d%-" }, { "direction", "^ .-[TR]X [B-] " }, { "colours", "^ *\27" },
   },
 }
-FORMS.yapp_candump_auto = FORMS.yapp_candump
-local reader_of = { yapp_candump_auto = "candump" } -- as the rows call them
 
 local function title_of(reader, form)
-  return (reader_of[reader] or reader:gsub("^yapp_", "")) .. " " .. form
+  return reader:gsub("^yapp_", "") .. " " .. form
 end
 
 local new_handler = FileHandler.new

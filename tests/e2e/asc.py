@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Writes a flight as ASC, in every dialect that programs write: CANoe, CANalyzer, BUSMASTER, python-can, log2asc, loggers."""
+"""Writes a flight as ASC, as CANoe, CANalyzer, BUSMASTER, python-can, log2asc and loggers write it."""
 import time
 
 WEEKDAYS, MONTHS = "Mon Tue Wed Thu Fri Sat Sun".split(), "Jan Feb Mar Apr May Jun Jul Aug Sep Oct Nov Dec".split()
-HEADS = ["vector", "vector", "busmaster", "kvaser", "base", "none", "comment"]
+HEADS = ["vector", "vector", "busmaster", "kvaser", "base"]
 # Lines that are no data frames: recorders write them, and none is a loss.
 KNOWN = ["{stamp} 1  Statistic: D 10 R 0 XD 90 XR 0 E 0 O 0 B 12.3%", "{stamp} CAN 1 Status:chip status error active", "// remark", "",
          "{stamp} 1  J1939TP FEE3p 6 0 0 - Rx d 39 ff ff", "{stamp} CANXL   2 Rx   XLFF   984438   4656      432  name e0 0", "{stamp} 1 OverloadFrame",
@@ -55,9 +55,7 @@ class Log:
                            f"{self.stamp(self.zero)} Start of measurement"],
                 "busmaster": [f"date {words}", f"base {self.base}  no internal events logged", "// version 7.1.0"],
                 "kvaser": [f"date {words}", timestamps.replace("  ", " "), "// CAN channel: 1 2", "Begin Triggerblock"],
-                "base": [timestamps],
-                "none": [],
-                "comment": ["// CAN channel: 1 2", "// ;    time  can ident           attr dlc data ..."]}[self.head]
+                "base": [timestamps]}[self.head]
 
     def has_date(self):
         return self.head in ("vector", "busmaster", "kvaser")

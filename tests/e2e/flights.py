@@ -496,8 +496,7 @@ class Flight:
         parts += [f"{self.named_bus(bus, form)}/{ident:#x}={kind}{name}" for (bus, ident), (kind, name) in self.by_bus.items()]
         ids = {kind: ",".join(sorted({f"{sender.ident:#x}" for sender in self.senders if sender.kind == kind}))
                for kind in ("motor", "health")}
-        reader = ["-X", "read_format:yapp_candump"] if form == "candump" else []
-        return [*reader, "-o", f"yapp.sources:{', '.join(parts)}", "-o", f"yapp.motor_ids:0x210,{ids['motor']}", "-o",
+        return ["-o", f"yapp.sources:{', '.join(parts)}", "-o", f"yapp.motor_ids:0x210,{ids['motor']}", "-o",
                 f"yapp.health_ids:0x200,{ids['health']}"]
 
     def truth(self, form):

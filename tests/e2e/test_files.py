@@ -95,9 +95,8 @@ def cpu_seconds(*arguments, **options):
 
 @levels.by_version
 @pytest.mark.parametrize("name, said", [
-    ("h2_asc_blanks.asc", 'ASC reader: line 9: a line longer than 4096 bytes, skipped: "0.100000 1"'),
-    ("h3_asc_triggerblock.asc", "ASC reader: line 9: a line longer than 4096 bytes, skipped"),
-    ("h4_candump_blanks.log", "candump reader: line 151: text behind the frame, ignored")])
+    ("h2_asc_blanks.asc", "ASC reader: line 9: not understood"), ("h3_asc_triggerblock.asc", "ASC reader: line 9: not understood"),
+    ("h4_candump_blanks.log", "candump reader: line 151: not understood")])
 def test_long_lines(folder, name, said):
     """A long line is named, and costs no more than to read it; the frames in front of it are shown."""
     path = tshark.CAPTURES / "cases" / name
@@ -108,19 +107,19 @@ def test_long_lines(folder, name, said):
     for file in (path, twice):
         took, done = cpu_seconds("-r", file, "-T", "fields", "-e", "taurus.motor.dc_voltage")
         assert took < plain + 1
-        assert said in done.stderr or file is twice and "a line longer than 4096 bytes" in done.stderr
+        assert said in done.stderr
         assert any(line.strip() for line in done.stdout.splitlines())
 
 
 @levels.by_version
-def test_dates_that_do_not_exist(folder):
+def test_dates_that_are_not_understood(folder):
     """No error in Lua; the line is named; times count from the date of the file, or from 0."""
     path = tshark.CAPTURES / "cases/h7_asc_day_out_of_bound.asc"
     text, bad = path.read_text(), "Tue Nov 99999999999 22:13:20.001 2023"
     good = "Tue Nov 14 22:13:20.001 2023"
     assert text.count(bad) == text.count(good) == 1
     for content, line, start in [(text, 3, 1700000000.001), (text.replace(good, bad), 1, 0),
-                                 (text.replace(bad, "Wed Feb 30 10:00:00 2023"), 3, 1700000000.001)]:
+                                 (text.replace(bad, "Die Okt 30 10:00:00 2023"), 3, 1700000000.001)]:
         (folder / "date.asc").write_text(content)
         done = tshark.run("-r", folder / "date.asc", "-T", "fields", "-e", "frame.time_epoch", "-e", "taurus.motor.dc_voltage")
         assert f"ASC reader: line {line}: no such date: times count from the date before, or from 0" in done.stderr

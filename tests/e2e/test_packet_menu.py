@@ -43,7 +43,7 @@ def test_copy_as_candump(tmp_path):
     path = tmp_path / "run.log"
     path.write_text(LOG)
     copy = "-z", "yappmenu,copy"
-    assert menu(path, *copy, "-X", "read_format:yapp_candump") == LOG
+    assert menu(path, *copy) == LOG
     lines = menu(tshark.CAPTURES / "can/remote_frames.pcap", *copy).splitlines()
     assert [line.split()[2] for line in lines] == [
         "08404000#BBBE6FC720000000", "08404000#R", "08408000#FD7FFD7FFD7FFD7F", "08408000#R8", "08408000#F5AFFD7F18010000",

@@ -22,11 +22,11 @@ function M.file(text, is_pipe, buffer)
 end
 
 -- The log or nil, its file, what it told.
-function M.opened(text, all, by_value)
+-- is_plain  true if the text may be left to Wireshark's own reader
+function M.opened(text, is_plain)
   local told = {}
-  local file = M.file(text)
-  local function report(message) told[#told + 1] = message end
-  local log = candump.open(file, { all = all, by_value = by_value, report = report })
+  local file = M.file(is_plain and text or text .. "\n# for this reader\n")
+  local log = candump.open(file, function(message) told[#told + 1] = message end)
   return log, file, told
 end
 
@@ -37,8 +37,8 @@ function M.frame(offset, bytes, seconds, nanoseconds, bus, comment)
 end
 
 -- All frames of a text; nil where it is not taken.
-function M.frames_of(text, all)
-  local log, file, told = M.opened(text, all)
+function M.frames_of(text)
+  local log, file, told = M.opened(text)
   local frames = {}
   if not log then return nil, told end
   local frame = M.frame(log:read(file))

@@ -16,9 +16,9 @@ local T = {}
 -- Line, then what it must give: bus, id with SocketCAN's flags, data in hex, and fields that are not the usual ones.
 local LINES = {
   { "(1700000000.000001) can0 08404000#BBBE6FC720000000", "can0", 0x88404000, "BBBE6FC720000000",
-    { seconds = 1700000000, nanoseconds = 1000, is_relative = false } },
+    { seconds = 1700000000, nanoseconds = 1000 } },
   { "(1700000000.000000001) vcan12 123#", "vcan12", 0x123, "", { seconds = 1700000000, nanoseconds = 1 } },
-  { "(12.5) can0 7ff#aBcD", "can0", 0x7FF, "ABCD", { seconds = 12, nanoseconds = 500000000, is_relative = false } },
+  { "(12.5) can0 7ff#aBcD", "can0", 0x7FF, "ABCD", { seconds = 12, nanoseconds = 500000000 } },
   { "(1.000000) can0 123#11 R", "can0", 0x123, "11", { sent = false } },
   { "(1.000000) can0 123#11 T\r", "can0", 0x123, "11", { sent = true } },
   { "(1.000000) can0 123#R", "can0", 0x40000123, "", { length = 0 } },
@@ -41,16 +41,14 @@ local LINES = {
   { "  can0  123   [3]  41 42 43                  'ABC'", "can0", 0x123, "414243" },
   { "  can0  123   [3]  27 20 27                  '' ''", "can0", 0x123, "272027" },
   { "  can0  123   [1]  23                        '#'", "can0", 0x123, "23" },
-  { "  can0  123   [3]  43`42`41                  `CBA`", "can0", 0x123, "414243" },
-  { "  can0  123   [2]  00000001 11111110", "can0", 0x123, "01FE" },
-  { "  can0  123   [2]  00000001`11111110", "can0", 0x123, "FE01" },
-  { "  can0  123   [1]  10101010", "can0", 0x123, "AA" },
+  { "<0x123> [3] 41 42 43 ", nil, 0x123, "414243" },
+  { "<0x08404000> [8] bb be 6f c7 20 00 00 00 ", nil, 0x88404000, "BBBE6FC720000000" },
   { "  can0  123   {E}  01 02 03 04 05 06 07 08", "can0", 0x123, "0102030405060708", { raw_dlc = 14, length = 8 } },
   { "  can0  123   {9}  01 02 03 04 05 06 07 08", "can0", 0x123, "0102030405060708", { raw_dlc = 9, length = 8 } },
   { "  can0  123   {2}  01 02", "can0", 0x123, "0102", { raw_dlc = 0, length = 2 } },
   { " (000.000499)  can0  TX B E       123  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B", "can0", 0x123,
-    "000102030405060708090A0B", { fd = true, flags = 3, sent = true, nanoseconds = 499000, is_relative = true } },
-  { " (0000000007.000001)  can0  RX - -  123   [1]  01", "can0", 0x123, "01", { seconds = 7, is_relative = false } },
+    "000102030405060708090A0B", { fd = true, flags = 3, sent = true, nanoseconds = 499000 } },
+  { " (0000000007.000001)  can0  RX - -  123   [1]  01", "can0", 0x123, "01", { seconds = 7 } },
   { "  \27[1m\27[34mcan0\27[0m  123   [1]  01", "can0", 0x123, "01" },
   { " \27[1m\27[34m(1700000000.000001)  can0  123   [1]  01\27[0m", "can0", 0x123, "01" },
 }
@@ -59,68 +57,45 @@ function T.test_every_form_of_line()
   for _, row in ipairs(LINES) do
     local record, why = candump.parse(row[1])
     lu.assertNotNil(record, row[1] .. ": " .. tostring(why))
-    lu.assertEquals({ record.bus, record.id, record.data, record.note }, { row[2], row[3], bytes(row[4]) }, row[1])
+    lu.assertEquals({ record.bus, record.id, record.data }, { row[2], row[3], bytes(row[4]) }, row[1])
     local usual = { fd = false, flags = 0, raw_dlc = 0, sent = false, length = #record.data }
     for name, value in pairs(row[5] or {}) do usual[name] = value end
     for name, value in pairs(usual) do lu.assertEquals(record[name], value, row[1] .. ": " .. name) end
   end
 end
 
--- Line, and a word of the reason, nil for lines that belong to the one above.
-local OTHERS = {
-  { "", "empty" }, { " \t\r", "empty" }, { "# remark", "comment" }, { "; remark", "comment" }, { "// r", "comment" },
-  { "DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 3)", "lost frames" },
-  { "\tcontroller-problem{tx-error-warning}" }, { "\tbus-error\27[0m" }, { "\terror-counter-tx-rx{{96}{127}}" },
-  { "\tsomething else", "not a candump line" },
-  { "(1.000000) can0 84", "not a candump line" },
-  { "(1.000000) can0 1234#11", "CAN id" }, { "(1.000000) can0 800#11", "CAN id" },
-  { "(1.000000) can0 40000000#11", "CAN id" }, { " (1.000000)  can0  FFF   [1]  11", "CAN id" },
-  { "(1.000000) can0 123#1", "data bytes" }, { "(1.000000) can0 123#1G", "data bytes" },
-  { "(1.000000) can0 123#112233445566778899", "data bytes" }, { "(1.000000) can0 123#R9", "data bytes" },
-  { "(1.000000) can0 123##", "data bytes" }, { "(1.000000) can0 123##0" .. ("11"):rep(65), "data bytes" },
-  { "(1.000000) can0 00123#81:00:12345678#112233", "CAN XL" }, { "(1.0) vcan12 00123#81:00:12345678# R", "CAN XL" },
-  { " (1.000000)  can0  00123   [0007] (00|81:00:12345678) 11 22", "CAN XL" },
-  { "(1.0) can0 123#" .. ("11"):rep(13), "data bytes" },
-  { "(1234567890123.000000) can0 123#11", "time" }, { " (2023-13-01 00:00:00.000000)  can0  123   [1]  11", "time" },
-  { " (soon)  can0  123   [1]  11", "time" },
-  { " (1.000000)  can0  123   [2]  11", "data bytes" }, { " (1.000000)  can0  123   [2]  11 22 33", "data bytes" },
-  { " (1.000000)  can0  123   [9]  11 22 33 44 55 66 77 88 99", "data bytes" },
-  { "  can0  123   [2]  11 22 and more", "not a candump line" },
-  { "see 123 [1] for more", "not a candump line" }, { "(1.000000) can0 123#11.22", "data bytes" },
-  { " (2023-02-29 10:00:00.000000)  can0  123   [1]  11", "time" },
-  { " (2023-11-14 22:60:00.000000)  can0  123   [1]  11", "time" }, { " (-1.000000)  can0  123   [1]  11", "time" },
-  { "(1.000000)", "not a candump line" }, { "123#11", "not a candump line" }, { "can0 123", "not a candump line" },
-  { "#123 [1] 11", "comment" }, { "can0 123#11", "not a candump line" },
+-- Lines of known kinds without a frame.
+local KNOWN = {
+  "", " \t\r", "# remark", "; remark", "// r", "#123 [1] 11", "Enabling Logfile 'candump-2026-11-14_221320.log'",
+  "DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 3)", "\tcontroller-problem{tx-error-warning}",
+  "\tbus-error\27[0m", "\terror-counter-tx-rx{{96}{127}}", "(1.000000) can0 00123#81:00:12345678#112233",
+  "(1.0) vcan12 00123#81:00:12345678# R", " (1.000000)  can0  00123   [0007] (00|81:00:12345678) 11 22",
+}
+
+-- Lines that are not understood: damaged ones, those of others, and those of candump -S and -i.
+local UNKNOWN = {
+  "\tsomething else", "(1.000000) can0 84", "(1.000000) can0 1234#11", "(1.000000) can0 800#11",
+  "(1.000000) can0 40000000#11", " (1.000000)  can0  FFF   [1]  11", "(1.000000) can0 123#1",
+  "(1.000000) can0 123#1G", "(1.000000) can0 123#112233445566778899", "(1.000000) can0 123#R9",
+  "(1.000000) can0 123##", "(1.000000) can0 123##0" .. ("11"):rep(65), "(1.0) can0 123#" .. ("11"):rep(13),
+  "(1234567890123.000000) can0 123#11", " (soon)  can0  123   [1]  11", "(" .. ("9"):rep(400) .. ".0) can0 123#11",
+  " (1.000000)  can0  123   [2]  11", " (1.000000)  can0  123   [2]  11 22 33",
+  " (1.000000)  can0  123   [9]  11 22 33 44 55 66 77 88 99", "  can0  123   [2]  11 22 and more",
+  "see 123 [1] for more", "(1.000000) can0 123#11.22", "(1.000000) can0 123#11 at the gate",
+  " (-1.000000)  can0  123   [1]  11", "(1.000000)", "123#11", "can0 123", "can0 123#11", "  can0  123   [2]  41`42",
+  "  can0  123   [1]  10101010", "can0 123 [2] \206\149\206\152 4E",
 }
 
 function T.test_lines_without_a_frame()
-  for _, row in ipairs(OTHERS) do
-    local record, why = candump.parse(row[1])
-    lu.assertNil(record, row[1])
-    if row[2] then
-      lu.assertStrContains(tostring(why), row[2], false, false, row[1])
-    else
-      lu.assertNil(why, row[1])
-    end
+  for is_known, lines in pairs { [true] = KNOWN, [false] = UNKNOWN } do
+    for _, line in ipairs(lines) do lu.assertEquals({ candump.parse(line) }, { nil, is_known }, line) end
   end
 end
 
 function T.test_local_time_with_date()
   local record = candump.parse(" (2023-11-14 22:13:20.000001)  can0  123   [1]  11")
   lu.assertEquals(os.date("%Y-%m-%d %H:%M:%S", record.seconds), "2023-11-14 22:13:20")
-  lu.assertEquals({ record.nanoseconds, record.is_relative }, { 1000, false })
-end
-
-function T.test_letters_that_look_like_digits()
-  local record = candump.parse("can0\t0840C000\t[8]\tD2\t\208\151C\t\206\149O\t4E\t$\\odot \\odot$\t00\t05\tFF\t")
-  lu.assertEquals(record.data, bytes("D23CE04E000005FF"))
-  lu.assertEquals(candump.parse("can0\t123\t[2]\t\206\149\206\152\t4E\t").data, bytes("E04E"))
-  lu.assertStrContains(record.note, "look like hex digits")
-end
-
-function T.test_text_behind_a_frame_is_told()
-  local record = candump.parse("(1.000000) can0 123#11 at the gate")
-  lu.assertEquals({ record.data, record.note }, { "\17", "text behind the frame, ignored" })
+  lu.assertEquals(record.nanoseconds, 1000)
 end
 
 -- What a pattern might try again and again makes no line slow: at 4,000 characters one that is tried

@@ -14,10 +14,10 @@ local T = {}
 local HEAD = "(1700000000.000001) can0 123#11\n"
 
 function T.test_plain_logs_are_left_to_the_builtin_reader()
-  for _, text in ipairs { HEAD, HEAD .. "(1700000000.000002) can0 00000123#", HEAD:gsub("\n", "\r\n"),
-    HEAD .. "(1.000000) can0 123#R4\n(1.000000) can0 123##3112233445566778899AABBCC\n", HEAD:rep(100000) } do
-    lu.assertNil((opened(text)), text:sub(1, 200))
-    lu.assertNotNil((opened(text, true)), text:sub(1, 200))
+  for _, text in ipairs { HEAD, HEAD .. "(1700000000.000002) can0 00000823#",
+    HEAD:gsub("\n", "\r\n"), HEAD:rep(100000) } do
+    lu.assertNil((opened(text, true)), text:sub(1, 200))
+    lu.assertNotNil((opened(text)), text:sub(1, 200))
   end
 end
 
@@ -26,28 +26,18 @@ local DEVIATIONS = {
   "", " ", "# remark", "(1.000000) can1 123#11", "(1.000000)  can0 123#11", "(1.000000) can0 123#11 ",
   "(1.000000) can0 123#11 R", "(1.000000) can0 123#1", "(1.000000) can0 123#11.22", "(1.000001000) can0 123#11",
   "(1.5) can0 123#11", "(1.000000) can0 123##011223344556677889", "(1.000000) can0 123#112233445566778899", "text",
-  "(1.000000) can0 1234#11", "(1.000000) can0 1122334455667788_E", " (1.000000) can0 123#11", ("x"):rep(3000000),
+  "(1.000000) can0 1234#11", "(1.000000) can0 1122334455667788_E", " (1.000000) can0 123#11",
+  "(1.000000) can0 123#R4", "(1.000000) can0 123##3112233445566778899AABBCC", "(1.000000) can0 00000000#11",
+  "(1.000000) can0 20000004#11", ("x"):rep(3000000),
 }
 
 function T.test_a_deviation_anywhere_is_seen()
   for _, line in ipairs(DEVIATIONS) do
     local name = line:sub(1, 60)
-    lu.assertNotNil((opened(HEAD .. line .. "\n" .. HEAD)), name)
-    lu.assertNotNil((opened(HEAD:rep(1000) .. line .. "\n" .. HEAD)), name)
+    lu.assertNotNil((opened(HEAD .. line .. "\n" .. HEAD, true)), name)
+    lu.assertNotNil((opened(HEAD:rep(1000) .. line .. "\n" .. HEAD, true)), name)
   end
-  lu.assertNotNil((opened(HEAD:rep(levels.size(100000, 600000)) .. DEVIATIONS[4] .. "\n" .. HEAD)))
-end
-
--- The reader of Wireshark 4.6 takes an id up to 7FF for a standard one and an error frame for an extended one.
-function T.test_ids_that_a_reader_by_value_gets_wrong()
-  for _, id in ipairs { "00000000", "000007FF", "000007ff", "20000004", "20000088" } do
-    local text = HEAD .. "(1700000000.000002) can0 " .. id .. "#11\n"
-    lu.assertNil((opened(text)), id)
-    lu.assertNotNil((opened(text, false, true)), id)
-  end
-  for _, id in ipairs { "000", "7FF", "00000800", "1FFFFFFF", "08404000" } do
-    lu.assertNil((opened(HEAD .. "(1700000000.000002) can0 " .. id .. "#11\n", false, true)), id)
-  end
+  lu.assertNotNil((opened(HEAD:rep(levels.size(100000, 600000)) .. DEVIATIONS[4] .. "\n" .. HEAD, true)))
 end
 
 function T.test_no_frame_is_lost_after_looking_ahead()
@@ -60,11 +50,11 @@ end
 function T.test_a_pipe_that_cannot_be_rewound_is_taken()
   for _, lines in ipairs { 3000, 20000 } do
     local file = text_file(HEAD:rep(lines), true, 65536)
-    local log, count = candump.open(file, {}), 0
+    local log, count = candump.open(file, print), 0
     while log:read(file) do count = count + 1 end
     lu.assertEquals(count, lines)
   end
-  lu.assertNil(candump.open(text_file(HEAD:rep(1000), true, 65536), {}))
+  lu.assertNil(candump.open(text_file(HEAD:rep(1000), true, 65536), print))
 end
 
 -- Texts of other programs, none of which may be taken.
@@ -81,7 +71,7 @@ local FOREIGN = {
   "Nov 14 22:13:20 host kernel: can0: bus-off\n", "t12321122\r", "123#1122\n",
   " (1700000000.000001)  can0  123  [2]  [SF] ln: 1    data: 11\n", "0x123 [2] 11 22\n", "can0: 123 [1]\n",
   "# Notes\n\nOn the bus we saw\n\n  can0  123   [1]  11\n\nwhich is odd. Then nothing\nhappened for a while.\n",
-  "OTHER LOGGER 1.0\n" .. HEAD:rep(5), "<0x123> [2] 11 22\n", "No.     Time\n      1 0.000000 CAN 16 ID: 291\n",
+  "OTHER LOGGER 1.0\n" .. HEAD:rep(5), "No.     Time\n      1 0.000000 CAN 16 ID: 291\n",
 }
 
 function T.test_other_text_is_never_taken()
@@ -106,10 +96,10 @@ function T.test_every_form_cut_at_its_start()
     local file = assert(io.open(name, "rb"))
     local text = file:read("*a")
     file:close()
-    local all, first = #frames_of(text, true), text:find("\n", 1, true)
-    if name:find("broken") or name:find("document") then first = 0 end -- two such lines; letters for digits
+    local all, first = #(frames_of(text) or {}), text:find("\n", 1, true)
+    if name:find("broken") or name:find("document") or all == 0 then first = 0 end -- two such lines; letters for digits
     for at = 2, first - 1 do
-      local count, rest = #(frames_of(text:sub(at), true) or {}), text:sub(at, first)
+      local count, rest = #(frames_of(text:sub(at)) or {}), text:sub(at, first)
       local is_known = rest:find("%x#") or rest:find("[%[{]%x+[%]}]")
       lu.assertTrue(not is_known and count == 0 or count == all or count == all - 1,
         ("%s: %d of %d frames of %q"):format(name, count, all, rest))
@@ -139,7 +129,7 @@ end
 
 function T.test_only_the_start_of_other_text_is_read()
   local file = text_file(("some text\n"):rep(10000))
-  lu.assertNil(candump.open(file, {}))
+  lu.assertNil(candump.open(file, print))
   lu.assertEquals(file.pos, 4096)
 end
 

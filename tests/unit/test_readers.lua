@@ -71,6 +71,10 @@ local function log_of(with)
   return log
 end
 
+local function file_of(head)
+  return { read = function(_, count) return head:sub(1, count) end, seek = function() return 0 end }
+end
+
 -- Readers -------------------------------------------------------------------------------------------------------------
 
 function T.test_what_is_registered()
@@ -80,18 +84,16 @@ function T.test_what_is_registered()
     found[name] = { handler.kind, handler.extensions or false }
     lu.assertEquals(handler.about, handler.title)
   end
-  lu.assertEquals(found, { yapp_candump_auto = { "rs", false }, yapp_candump = { "r", false }, yapp_asc = { "r",
-    "asc" },
-    yapp_name = { "r", false }, yapp_dump = { "r", "yapp" } })
+  lu.assertEquals(found, { yapp_candump = { "rs", false }, yapp_asc = { "r", "asc" }, yapp_dump = { "r", "yapp" } })
 end
 
--- The reader, the link type of its packets, and whether it takes all of candump's text.
+-- The reader, and the link type of its packets.
 function T.test_each_format_opens_its_files()
   local _, handlers = readers()
-  for name, row in pairs { yapp_candump = { "candump", "SLL2", true }, yapp_candump_auto = { "candump", "SLL2", false },
-    yapp_asc = { "asc", "SLL2" }, yapp_dump = { "dump", "PDU" } } do
+  for name, row in pairs { yapp_candump = { "candump", "SLL2" }, yapp_asc = { "asc", "SLL2" },
+    yapp_dump = { "dump", "PDU" } } do
     local capture, format = {}, row[1]
-    local file = { read = function() return "head" end }
+    local file = file_of("head")
     lu.assertFalse(handlers[name].read_open(file, capture))
     lu.assertEquals({ seen.opened[#seen.opened][1], capture }, { format, {} })
     said.logs[format] = log_of { decimals = 9 }
@@ -101,39 +103,25 @@ function T.test_each_format_opens_its_files()
     said.logs[format].decimals = 6
     handlers[name].read_open(file, capture)
     lu.assertEquals(capture.time_precision, "us")
-    if format == "candump" then
-      lu.assertEquals({ seen.opened[#seen.opened][2].all, seen.opened[#seen.opened][2].by_value }, { row[3], false })
-    end
     said.logs = {}
   end
 end
 
 function T.test_reports_name_their_reader()
   local _, handlers = readers()
-  local file = { read = function() return "" end }
+  local file = file_of("")
   handlers.yapp_candump.read_open(file, {})
-  seen.opened[1][2].report("line 1")
+  seen.opened[1][2]("line 1")
   handlers.yapp_asc.read_open(file, {})
   seen.opened[2][2]("line 2")
   lu.assertEquals(seen.said, { "candump reader: line 1\n", "ASC reader: line 2\n" })
-end
-
--- Wireshark's own reader of plain logs goes by an id's value from 4.6 on.
-function T.test_versions()
-  for version, by_value in pairs { ["4.0.17"] = false, ["4.4.1"] = false, ["4.5.0"] = true, ["4.6.3"] = true,
-    ["5.0.0"] = true } do
-    said.version, package.loaded["yapp.file.readers"] = version, nil
-    local _, handlers = readers()
-    handlers.yapp_candump.read_open({}, {})
-    lu.assertEquals(seen.opened[#seen.opened][2].by_value, by_value, version)
-  end
 end
 
 function T.test_records()
   local module, handlers = readers()
   local log, capture, frame = log_of(), {}, {}
   said.logs.candump = log
-  handlers.yapp_candump.read_open({}, capture)
+  handlers.yapp_candump.read_open(file_of(""), capture)
   said.record = { 40, "bytes", 17, 5, { number = 2, name = "can1" }, "a comment" }
   lu.assertEquals(handlers.yapp_candump.read({}, capture, frame), 40)
   lu.assertEquals(frame, { rec_type = "packet", flags = "has time", time = { 17, 5 }, comment = "a comment",
@@ -159,8 +147,8 @@ function T.test_a_bus_is_forgotten()
   local capture = {}
   said.logs.candump, said.record = log_of(), { 40, "bytes", 17, 5, { number = 2, name = "can1" } }
   for _, forget in ipairs { function() handlers.yapp_candump.read_close() end, module.forget,
-    function() handlers.yapp_candump.read_open({}, {}) end } do
-    handlers.yapp_candump.read_open({}, capture)
+    function() handlers.yapp_candump.read_open(file_of(""), {}) end } do
+    handlers.yapp_candump.read_open(file_of(""), capture)
     handlers.yapp_candump.read({}, capture, {})
     lu.assertEquals(module.current(), 2)
     forget()
@@ -172,30 +160,31 @@ function T.test_a_log_that_is_left_to_wireshark()
   local module, handlers = readers()
   lu.assertEquals({ module.log(), module.current() }, { {} })
   said.plain_log = { plain_bus = "can0" }
-  lu.assertFalse(handlers.yapp_candump_auto.read_open({}, {}))
+  lu.assertFalse(handlers.yapp_candump.read_open(file_of(""), {}))
   lu.assertIs(module.log(), said.plain_log)
   said.plain_log = nil
-  handlers.yapp_candump_auto.read_open({}, {})
+  handlers.yapp_candump.read_open(file_of(""), {})
   lu.assertEquals(module.log().plain_bus, "can0", "another file that was only looked at")
   module.forget()
   lu.assertEquals(module.log(), {})
 end
 
--- A file is a dump only if its name ends with .yapp: those of other names are shown to yapp_name before.
+-- A file is a dump only if its name ends with .yapp: those of other names are shown to yapp_candump before.
 function T.test_dumps_go_by_their_name()
-  local _, handlers = readers()
-  local function file(head) return { read = function(_, count) return head:sub(1, count) end } end
+  local module, handlers = readers()
+  local file = file_of(("a"):rep(256))
   said.logs.dump = log_of()
-  lu.assertFalse(handlers.yapp_name.read_open(file(("a"):rep(300)), {}))
-  lu.assertFalse(handlers.yapp_dump.read_open(file(("a"):rep(256)), {}))
-  lu.assertEquals({ seen.opened, seen.said }, { {}, {} })
-  lu.assertTrue(handlers.yapp_dump.read_open(file(("a"):rep(256)), {}), "once")
-  lu.assertEquals({ seen.opened[1][2].new_framer, seen.opened[1][3] }, { "framer", ("a"):rep(256) })
+  lu.assertFalse(handlers.yapp_candump.read_open(file, {}))
+  lu.assertFalse(handlers.yapp_dump.read_open(file, {}))
+  lu.assertEquals({ #seen.opened, seen.said }, { 1, {} })
+  lu.assertTrue(handlers.yapp_dump.read_open(file, {}), "once")
+  lu.assertEquals({ seen.opened[2][2].new_framer, seen.opened[2][3] }, { "framer", ("a"):rep(256) })
   said.logs.dump = nil
-  lu.assertFalse(handlers.yapp_dump.read_open(file("b"), {}))
+  lu.assertFalse(handlers.yapp_dump.read_open(file_of("b"), {}))
   lu.assertStrContains(seen.said[1], "yapp: not opened as a raw serial dump: no YAPP frame with a good CRC")
-  handlers.yapp_name.read_open(file("b"), {})
-  handlers.yapp_dump.read_open(file("b"), {})
+  handlers.yapp_candump.read_open(file_of("b"), {})
+  module.forget()
+  handlers.yapp_dump.read_open(file_of("b"), {})
   lu.assertEquals(#seen.said, 2, "it was refused, and is .yapp")
   handlers.yapp_dump.read_open({ read = function() end }, {})
   lu.assertEquals(seen.said[3], "yapp: not opened as a raw serial dump: the file is empty\n")

@@ -12,11 +12,12 @@ local M = {}
 local NO_BUS = {}
 local bus -- of the record read last
 local latest -- the log opened or read last, or the facts of one left to Wireshark
+local other_name -- the first bytes of a file whose name does not end with .yapp
 
 --- Forget all files.  Call it before any reader sees a file: sharkd opens another file without
 -- closing the first.
 function M.forget()
-  bus, latest = NO_BUS, {}
+  bus, latest, other_name = NO_BUS, {}, nil
 end
 M.forget()
 
@@ -102,62 +103,37 @@ local function reporter(name)
   return function(text) io.stderr:write(name, ": ", text, "\n") end
 end
 
--- Register a reader of candump text: of all, or of files that Wireshark's own reader gets wrong or
--- not at all.  A user who names it, -X "read_format:yapp_candump", gets all.
-local function register_candump(title, name, kind, takes_all)
-  local options = {
-    all = takes_all,
-    report = reporter("candump reader"),
-    -- Wireshark's own reader goes by an id's value from 4.6 on.
-    by_value = not get_version():find("^4%.[0-4]%."),
-  }
-  register(title, name, kind, wtap_encaps.SLL2, function(file)
-    return candump.open(file, options)
-  end)
-end
-
 -- A dump has no mark at its start, and other files may hold YAPP frames.  So a file is a
 -- dump only if its name ends with .yapp, or if the user says so.  Wireshark does not tell a reader
 -- the name.  It asks the readers without an extension first, unless the file has the extension of
--- another.  So the reader yapp_name, which opens nothing, notes the files that are not .yapp.
+-- another.  So the reader of candump text notes the files that are not .yapp.
 local NO_FRAME = "no YAPP frame with a good CRC, and the size that its ID has, in the whole file"
 local HEAD = 256 -- bytes by which a file is known again
-
-local function register_dump(options)
-  -- shown: first bytes of a file with another name.  refused: first bytes of a .yapp file without a
-  -- frame, as Wireshark shows that to the other reader next.
-  local shown, refused
-  local report = reporter("yapp: not opened as a raw serial dump")
-  local encap = wtap_encaps.WIRESHARK_UPPER_PDU
-
-  register("YAPP (tells other files from .yapp)", "yapp_name", "r", encap, function(file)
-    local head = file:read(HEAD) or ""
-    if head ~= refused then shown = head end
-    refused = nil
-  end)
-
-  register("YAPP raw serial dump", "yapp_dump", "r", encap, function(file)
-    local head = file:read(HEAD) or ""
-    local has_other_name = shown == head
-    shown = nil
-    if has_other_name then return nil end
-    local log = dump.open(file, options, head)
-    if log then return log end
-    refused = head
-    report(head == "" and "the file is empty" or NO_FRAME)
-  end, "yapp")
-end
 
 --- Register the readers with Wireshark.  Call it once.
 -- options  of dump.open
 function M.register(options)
-  register_candump("candump text (YAPP reader, automatic)", "yapp_candump_auto", "rs", false)
-  register_candump("candump text (YAPP reader)", "yapp_candump", "r", true)
-  local report = reporter("ASC reader")
+  local report = reporter("candump reader")
+  register("candump text (YAPP reader)", "yapp_candump", "rs", wtap_encaps.SLL2, function(file)
+    other_name = file:read(HEAD) or ""
+    file:seek("set", 0)
+    return candump.open(file, report)
+  end)
+  local report_asc = reporter("ASC reader")
   register("Vector ASC (YAPP reader)", "yapp_asc", "r", wtap_encaps.SLL2, function(file)
-    return asc.open(file, report)
+    return asc.open(file, report_asc)
   end, "asc")
-  register_dump(options)
+  local report_dump = reporter("yapp: not opened as a raw serial dump")
+  local encap = wtap_encaps.WIRESHARK_UPPER_PDU
+  register("YAPP raw serial dump", "yapp_dump", "r", encap, function(file)
+    local head = file:read(HEAD) or ""
+    local is_other = head == other_name
+    other_name = nil
+    if is_other then return nil end
+    local log = dump.open(file, options, head)
+    if not log then report_dump(head == "" and "the file is empty" or NO_FRAME) end
+    return log
+  end, "yapp")
 end
 
 return M
