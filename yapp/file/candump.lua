@@ -21,8 +21,12 @@ local function parse_id(digits)
   return id < text.ERROR and id + text.EXTENDED or id
 end
 
+-- All fields at once: a table that does not grow takes half the time.
 local function new_record(bus, id)
-  return { bus = bus, id = parse_id(id), fd = false, sent = false, flags = 0, raw_dlc = 0 }
+  return {
+    bus = bus, id = parse_id(id), fd = false, sent = false, flags = 0, raw_dlc = 0, length = 0,
+    data = "", stamp = "", seconds = nil, nanoseconds = nil,
+  }
 end
 
 -- Fill in a remote frame.
@@ -124,11 +128,12 @@ local OTHERS = {
 
 local DATE = "^(20%d%d)%-(%d%d)%-(%d%d) (%d%d):(%d%d):(%d%d)$"
 
--- Return the seconds since 1970, or nil.  A date is local time, as Wireshark shows it.  An absolute
--- time has ten digits at least: candump pads it.
+-- Return the seconds since 1970, or nil.  A date is local time, as Wireshark shows it.  An
+-- absolute time has ten digits at least: candump pads it.
 local function parse_seconds(whole)
+  if #whole <= 12 then return tonumber(whole) end
   local year, month, day, hour, min, sec = match(whole, DATE)
-  if not year then return #whole <= 12 and tonumber(whole) or nil end
+  if not year then return nil end
   return os.time { year = year, month = month, day = day, hour = hour, min = min, sec = sec }
 end
 
@@ -189,7 +194,7 @@ end
 
 -- Return whether a time is one that is not absolute, as candump pads it.
 local function is_short(stamp)
-  return stamp and stamp:find("^%d%d%d%.")
+  return stamp:find("^%d%d%d%.")
 end
 
 -- Return whether the times are those since the frame before (candump -t d), not those since the

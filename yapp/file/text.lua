@@ -78,9 +78,11 @@ M.ERROR = 0x20000000
 --- The bytes of hex digits: [two digits] = the byte.
 M.BYTES = memo(function(digits) return char(tonumber(digits, 16)) end)
 
-local function big_endian(number)
+-- [number of 32 bits] = its bytes.
+local BIG_ENDIAN = memo(function(number)
   return (("%08X"):format(number):gsub("%x%x", M.BYTES))
-end
+end)
+local LITTLE_ENDIAN = memo(function(number) return BIG_ENDIAN[number]:reverse() end)
 
 --- Return a frame as a packet of link type LINUX_SLL2: the cooked header, the SocketCAN header, the
 -- data.  (Wireshark takes the id in the host's order here, and this is the usual one.)
@@ -90,9 +92,9 @@ end
 function M.packet(number, record)
   -- Linux cooked capture v2: protocol, reserved, interface index, device type, packet type, no
   -- address
-  return (record.fd and "\0\13\0\0" or "\0\12\0\0") .. big_endian(number) ..
+  return (record.fd and "\0\13\0\0" or "\0\12\0\0") .. BIG_ENDIAN[number] ..
     (record.sent and "\1\24\4" or "\1\24\0") .. "\0\0\0\0\0\0\0\0\0" ..
-    big_endian(record.id):reverse() ..
+    LITTLE_ENDIAN[record.id] ..
     char(record.length, record.flags, 0, record.raw_dlc) .. record.data
 end
 
