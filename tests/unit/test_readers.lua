@@ -89,11 +89,12 @@ end
 
 -- The reader, and the link type of its packets.
 function T.test_each_format_opens_its_files()
-  local _, handlers = readers()
+  local module, handlers = readers()
   for name, row in pairs { yapp_candump = { "candump", "SLL2" }, yapp_asc = { "asc", "SLL2" },
     yapp_dump = { "dump", "PDU" } } do
     local capture, format = {}, row[1]
     local file = file_of("head")
+    module.forget()
     lu.assertFalse(handlers[name].read_open(file, capture))
     lu.assertEquals({ seen.opened[#seen.opened][1], capture }, { format, {} })
     said.logs[format] = log_of { decimals = 9 }
