@@ -1,10 +1,11 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The output and logs of candump: recognises a file, and reads the CAN frames in its lines as
 -- packets.  Pure Lua.
+local memo = require "yapp.base.memo"
 local text = require "yapp.file.text"
 local utf8 = require "yapp.base.utf8"
 
-local match = string.match
+local char, match = string.char, string.match
 
 local M = {}
 
@@ -269,6 +270,22 @@ local function note(log, line, record, offset)
   end
 end
 
+-- A classic data frame in a log, nothing behind it: (1700000000.000001) can0 08404000#BBBE6FC7
+local USUAL = "^%((%d+)%.(%d%d%d%d%d%d)%) (%S+) (%x+)#(%x*)\r?\n()"
+
+local IDS = memo(parse_id)
+
+-- Read a line of the usual form: nearly all lines of a large log.  A run takes a third less time.
+local function read_usual(log, lines)
+  local seconds, fraction, name, digits, hex, stop = match(lines.text, USUAL, lines.pos)
+  local bus, id = log.buses[name], digits and IDS[digits]
+  if not (bus and id) or #hex > 16 or #hex % 2 ~= 0 or #seconds > 12 then return nil end
+  if lines == log.lines then log.frames = log.frames + 1 end
+  local data = hex:gsub("%x%x", text.BYTES)
+  local packet = text.head(bus.number, id) .. char(#data) .. "\0\0\0" .. data
+  return lines:skip_to(stop), packet, tonumber(seconds), fraction * 1000, bus
+end
+
 --- Open a file if it is candump text.
 -- file     anything with read(bytes) and seek("set", offset), at its start, as io.open gives it
 -- report   function(text), called with a remark on a line
@@ -292,6 +309,7 @@ function M.open(file, report)
   return text.open(head, report, {
     parse = M.parse,
     note = note,
+    read_usual = not has_deltas and read_usual or nil,
     like = LIKE,
     has_deltas = has_deltas,
     clock = 0, -- sum of the deltas in nanoseconds

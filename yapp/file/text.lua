@@ -54,6 +54,16 @@ local function read_on(self, file)
   return more ~= nil
 end
 
+--- Go on behind a line of the text.
+-- pos      index in the text at which the next line begins
+-- returns  the offset of the line
+function Lines:skip_to(pos)
+  local offset = self.base + self.pos - 1
+  self.pos = pos
+  self.number = self.number + 1
+  return offset
+end
+
 --- Read the next line.
 -- returns  the line without its "\n", and its offset; nil at the end.  A line that is too long may
 --          have lost its end
@@ -63,9 +73,7 @@ function Lines:next(file)
   local from = self.pos
   if not stop and from > #self.text then return nil end
   stop = stop or #self.text + 1
-  self.pos = stop + 1
-  self.number = self.number + 1
-  return sub(self.text, from, stop - 1), self.base + from - 1
+  return sub(self.text, from, stop - 1), self:skip_to(stop + 1)
 end
 
 -- Packets -----------------------------------------------------------------------------------------
@@ -84,18 +92,26 @@ local BIG_ENDIAN = memo(function(number)
 end)
 local LITTLE_ENDIAN = memo(function(number) return BIG_ENDIAN[number]:reverse() end)
 
---- Return a frame as a packet of link type LINUX_SLL2: the cooked header, the SocketCAN header, the
--- data.  (Wireshark takes the id in the host's order here, and this is the usual one.)
+--- Return the bytes of a packet before the CAN frame's length: the same for all frames with this id
+-- on a bus.  (Wireshark takes the id in the host's order here, and this is the usual one.)
 -- number  of the bus
--- record  { id = 32 bits with SocketCAN's flags, fd, sent = booleans or nil, length = bytes, flags
---         = 4 FDF, 2 ESI, 1 BRS, raw_dlc = 9 to 15 or 0, data = bytes }
-function M.packet(number, record)
+-- id      with SocketCAN's flags
+-- fd, sent  booleans or nil
+function M.head(number, id, fd, sent)
   -- Linux cooked capture v2: protocol, reserved, interface index, device type, packet type, no
   -- address
-  return (record.fd and "\0\13\0\0" or "\0\12\0\0") .. BIG_ENDIAN[number] ..
-    (record.sent and "\1\24\4" or "\1\24\0") .. "\0\0\0\0\0\0\0\0\0" ..
-    LITTLE_ENDIAN[record.id] ..
-    char(record.length, record.flags, 0, record.raw_dlc) .. record.data
+  return (fd and "\0\13\0\0" or "\0\12\0\0") .. BIG_ENDIAN[number] ..
+    (sent and "\1\24\4" or "\1\24\0") .. "\0\0\0\0\0\0\0\0\0" .. LITTLE_ENDIAN[id]
+end
+
+--- Return a frame as a packet of link type LINUX_SLL2: the cooked header, the SocketCAN header, the
+-- data.
+-- number  of the bus
+-- record  { id, fd, sent = as for M.head, length = bytes, flags = 4 FDF, 2 ESI, 1 BRS, raw_dlc = 9
+--         to 15 or 0, data = bytes }
+function M.packet(number, record)
+  local lengths = char(record.length, record.flags, 0, record.raw_dlc)
+  return M.head(number, record.id, record.fd, record.sent) .. lengths .. record.data
 end
 
 -- The parts of a file -----------------------------------------------------------------------------
@@ -166,6 +182,8 @@ Log.__index = Log
 --                such a line is known, so that it is no lost frame
 --         note   function(log, line, record, offset), called once for each line, in their order
 --         like   list of patterns: a line that has one was a frame
+--         read_usual  function(log, lines), which reads a line of the usual form without a record:
+--                it returns as Log:read, nil for another line; or nil
 function M.open(head, report, log)
   log.report = report
   log.lines = M.lines(head)
@@ -250,7 +268,7 @@ local function add_frame(self, record, offset)
 end
 
 -- Read the next frame of these lines, see Log:read.
-local function read(self, lines, file)
+local function read_any(self, lines, file)
   local line, offset = lines:next(file)
   if not line then return nil end
   local record, is_known
@@ -260,11 +278,20 @@ local function read(self, lines, file)
     self:note(line, record, offset)
     if record then add_frame(self, record, offset) end
   end
-  if not record then return read(self, lines, file) end
+  if not record then return read_any(self, lines, file) end
   local bus = self.buses[record.bus]
   local seconds, nanoseconds = time_of(self, record, offset)
   local packet = M.packet(bus and bus.number or 0, record)
   return offset, packet, seconds, nanoseconds, bus, self.comments[offset]
+end
+
+-- The same; first try the usual form.
+local function read(self, lines, file)
+  if self.read_usual then
+    local offset, packet, seconds, nanoseconds, bus = self:read_usual(lines)
+    if offset then return offset, packet, seconds, nanoseconds, bus, self.comments[offset] end
+  end
+  return read_any(self, lines, file)
 end
 
 --- Read the next frame.
