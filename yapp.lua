@@ -35,8 +35,7 @@ table.insert(rawget(package, "searchers"), 2, function(name)
 end)
 
 local binary = require "yapp.message.binary"
-local bus_finder = require "yapp.host.buses"
-local capture = require "yapp.host.capture"
+local captures = require "yapp.capture.capture"
 local can_id = require "yapp.wire.can_id"
 local catalogue_files = require "yapp.message.catalogue_files"
 local compiler = require "yapp.message.catalogue"
@@ -98,7 +97,7 @@ local usb_header = Proto("yapp_usb", "YAPP reads USB headers")
 local server = Proto("yapp_port", "YAPP looks for YAPP on a server's port")
 preferences.define(yapp, catalogue, field_kinds, frame.MAX_ID)
 
-local buses = bus_finder.watch()
+local buses = captures.watch()
 local types = message_types.new(catalogue)
 local default_names = {} -- titles by ID
 for id, message in pairs(catalogue.by_id) do default_names[id] = message.title end
@@ -334,7 +333,7 @@ local function make_statistics()
       if gui_enabled() then return end
       search_streams()
       if path and buses:has_more_to_read() then
-        streams:expect(search.conversations(path, capture.HEAD))
+        streams:expect(search.conversations(path, 65536))
       end
     end,
     -- A wrapper that is there when Wireshark reloads its Lua plugins takes SocketCAN away with it.

@@ -256,9 +256,8 @@ local function new_frames()
     seen.asked = visited
     return wants
   end }
-  local buses = { found = {}, bus_is_per_packet = false, time = function() return 99 end,
-    time_name = "rel_ts", start = 0,
-    of = function(number, offset) return ("bus %d %d"):format(number, offset), "is known" end }
+  local buses = { bus_is_per_packet = false,
+    bus_of = function(number) return ("bus %d"):format(number), "is known" end }
   local view = { show = noted "show", show_without_id = noted "show_without_id" }
   local settings = { accepts_all = false }
   require("yapp.host.deferral") -- of the frames
@@ -292,15 +291,14 @@ end
 
 function T.test_what_the_capture_says_of_a_frame()
   local frames, parts = new_frames()
-  parts.buses.bus_is_per_packet, parts.buses.found = true, { offset = 40 }
-  parts.buses.time_name, parts.buses.start = "abs_ts", 1
+  parts.buses.bus_is_per_packet = true
   frames:reset()
   said.result, said.message = { is_usual = true }, {}
-  frames:dissect(buffer(DATA, nil, 8), packet(3, { abs_ts = 100 }), nil, MOTOR, true)
+  frames:dissect(buffer(DATA, nil, 8), packet(3), nil, MOTOR, true)
   lu.assertEquals({ seen.frame.key, seen.frame.bus, seen.frame.is_bus_known, seen.frame.time, seen.frame.accepts_all },
-    { 3 * frame_key.PACKET + 40, "bus 3 40", "is known", 99, true })
-  parts.buses.of = function() return nil, true end
-  frames:dissect(buffer(DATA, nil, 8), packet(4, { abs_ts = 100 }), nil, MOTOR, true)
+    { 3 * frame_key.PACKET + 8, "bus 3", "is known", 0.3, true })
+  parts.buses.bus_of = function() return nil, true end
+  frames:dissect(buffer(DATA, nil, 8), packet(4), nil, MOTOR, true)
   lu.assertFalse(seen.frame.bus)
 end
 
@@ -451,7 +449,7 @@ function T.test_noted_frames()
   note(3, EXTENDED + MOTOR + 5)
   local frame = seen.undissected
   lu.assertEquals({ frame.key, frame.number, frame.time, frame.seq, frame.data, frame.reported, frame.bus },
-    { 3 * frame_key.PACKET + 8, 3, 99, 5, DATA, 8, "bus 3 8" })
+    { 3 * frame_key.PACKET + 8, 3, 0.3, 5, DATA, 8, "bus 3" })
   lu.assertEquals(frame.can_id.id, 0x210)
   seen.undissected = nil
   note(4, MOTOR % 0x800)

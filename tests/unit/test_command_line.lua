@@ -2,14 +2,14 @@
 -- The options of tshark's command line, however they are written.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local command_line = require("yapp.base.command_line")
+local command_line = require("yapp.capture.command_line")
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local T = {}
 
 local function options(...)
-  return command_line.options(table.concat({ "tshark", ... }, "\0") .. "\0")
+  return command_line.parse(table.concat({ "tshark", ... }, "\0") .. "\0")
 end
 
 function T.test_a_display_filter_however_it_is_written()
@@ -35,8 +35,8 @@ end
 
 function T.test_nothing()
   lu.assertEquals(options(), {})
-  lu.assertEquals(command_line.options(""), {})
-  lu.assertEquals(command_line.options("-q\0"), {}) -- the program
+  lu.assertEquals(command_line.parse(""), {})
+  lu.assertEquals(command_line.parse("-q\0"), {}) -- the program
   lu.assertEquals(options("-"), {})
 end
 

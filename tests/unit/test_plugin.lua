@@ -97,7 +97,7 @@ local function set_modules()
   local found = { head = false, may_have_frames = false, has_serial_frames = false }
   function found.serial_options() return { "-d serial" } end
   local stands = {
-    ["yapp.host.buses"] = { watch = function() return stand_in("buses", { found = found }) end },
+    ["yapp.capture.capture"] = { watch = function() return stand_in("buses", { found = found }) end },
     ["yapp.host.ports"] = module("ports"),
     ["yapp.host.preferences"] = module("preferences"),
     ["yapp.host.socketcan"] = module("socketcan"),

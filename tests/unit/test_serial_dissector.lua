@@ -93,8 +93,8 @@ local function new_streams()
     seen.wants = { ... }
     return wants
   end }
-  local buses = { time = function(_, pinfo) return pinfo.number / 10 end, of = function(number, offset)
-    return ("bus %d %d"):format(number, offset), "is known"
+  local buses = { time = function(_, pinfo) return pinfo.number / 10 end, bus_of = function(number)
+    return ("bus %d 0"):format(number), "is known"
   end }
   local view = { show = function(_, ...) seen.shown[#seen.shown + 1] = { ... } end }
   local reading = new_reading()

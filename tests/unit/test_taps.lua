@@ -7,7 +7,7 @@ local lu = require("luaunit")
 local T = {}
 
 local NAMES = { "gui_enabled", "Listener", "Dir", "retap_packets", "all_field_infos" }
-local MODULES = { "yapp.stat.taps", "yapp.stat.menu", "yapp.stat.queue", "yapp.host.command" }
+local MODULES = { "yapp.stat.taps", "yapp.stat.menu", "yapp.stat.queue", "yapp.capture.command_line" }
 local PACKETS = 4
 local real = { exit = os.exit, stdout = io.stdout, stderr = io.stderr }
 
@@ -67,10 +67,10 @@ local function read_packets()
 end
 
 local function new_stat(is_gui)
-  local buses = stand_in("buses", { found = {}, time_name = "rel_ts", start = -100 })
+  local buses = stand_in("buses", { found = {} })
   function buses.drops() return { "of the buses" } end
   function buses.has_times() return not wireshark.lacks_times, wireshark.has_clock end
-  function buses.time(_, pinfo) return pinfo.rel_ts + 100 end
+  function buses.time(_, pinfo) return pinfo.rel_ts end
   function buses.missed_file() return wireshark.is_reloaded end
   local reading = stand_in("reading", {})
   function reading.drops() return { "of streams" } end
@@ -97,7 +97,7 @@ local function new_stat(is_gui)
   function _G.gui_enabled() return is_gui end
   package.loaded["yapp.stat.taps"] = nil
   package.loaded["yapp.stat.queue"] = { new = new_queue }
-  package.loaded["yapp.host.command"] = {
+  package.loaded["yapp.capture.command_line"] = {
     options = function() return wireshark.options end,
     count_later_files = function(_, since)
       lu.assertTrue(math.abs(os.time() - since) < 60)
@@ -166,13 +166,13 @@ function T.test_what_the_end_is_told()
     problems = {},
   })
   lu.assertEquals(seen.may_go_on, true) -- packets may be revisited
-  lu.assertEquals(seen.packets[3], { 3, 100.3, true })
+  lu.assertEquals(seen.packets[3], { 3, 0.3, true })
   lu.assertEquals(seen.added[2].what, "faults")
 end
 
 function T.test_the_exact_time_is_that_of_the_first_packet()
   window():run("yapp,faults")
-  lu.assertEquals(seen.begins, { 17, 5, 100.1 })
+  lu.assertEquals(seen.begins, { 17, 5, 0.1 })
   lu.assertEquals(seen.builder, {}, "Wireshark may revisit all packets")
 end
 
@@ -200,7 +200,7 @@ function T.test_a_reading_ends_whole()
   for run = 1, 2 do
     seen.begins = nil
     stat:run("yapp,faults")
-    lu.assertEquals({ next(seen.taps) or seen.begins, seen.watched }, { { 17, 5, 100.1 }, 0 }, run)
+    lu.assertEquals({ next(seen.taps) or seen.begins, seen.watched }, { { 17, 5, 0.1 }, 0 }, run)
     lu.assertEquals(seen.reading[#seen.reading], { "listen", false })
     lu.assertEquals({ seen.deferral[#seen.deferral], seen.intake[#seen.intake] }, { { "close" }, { "close" } })
     lu.assertEquals(seen.queue.packets, PACKETS)

@@ -27,7 +27,7 @@ Dissector.__index = Dissector
 -- reading      a reading.reading
 -- view         a show.frame
 -- builder      a show.tree
--- buses        a host.buses
+-- buses        a capture.capture
 -- settings     its accepts_all: the preference yapp.all_extended
 function M.new(reading, view, builder, buses, settings)
   local self = setmetatable({
@@ -45,18 +45,15 @@ end
 --- Forget the capture file.
 function Dissector:reset()
   self.deferral:reset()
-  self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
   -- True if the bus of a frame has to be asked for.
   self.bus_is_per_packet = self.buses.bus_is_per_packet
-  self.time_name, self.start = self.buses.time_name, self.buses.start -- see Buses:time
   self.frame = records.new_can_frame()
   self.wants = false -- of Tree:wants; the frame has those that the reading needs
 end
 
 -- Set where the current frame was captured.
-local function find_bus(self, frame, tvb, pinfo)
-  local offset = self.offset or offset_of(tvb)
-  local bus, is_bus_known = self.buses.of(frame.number, offset, pinfo)
+local function find_bus(self, frame, pinfo)
+  local bus, is_bus_known = self.buses.bus_of(frame.number, pinfo)
   frame.bus, frame.is_bus_known = bus or false, is_bus_known
 end
 
@@ -100,15 +97,15 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
     return 0
   end
   local frame, reading, number = self.frame, self.reading, pinfo.number
-  local key = number * PACKET + (self.offset or offset_of(tvb))
+  local key = number * PACKET + offset_of(tvb)
   frame.key = key
   frame.number = number
-  frame.time = pinfo[self.time_name] - self.start
+  frame.time = pinfo.rel_ts
   frame.can_id = fields_of[id]
   frame.data = data
   frame.reported = reported
   frame.accepts_all = accepts_all
-  if self.bus_is_per_packet then find_bus(self, frame, tvb, pinfo) end
+  if self.bus_is_per_packet then find_bus(self, frame, pinfo) end
   -- A frame above the newest one is new, and in tshark's first pass all frames want the same.
   local wants = self.builder.wanted
   if key <= reading.newest_key or wants ~= self.wants then

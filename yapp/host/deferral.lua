@@ -28,7 +28,7 @@ Deferral.__index = Deferral
 --- Make the deferral of one plugin.
 -- reading  a reading.reading
 -- builder  a show.tree, which knows if anything is shown
--- buses    a host.buses
+-- buses    a capture.capture
 -- dissect  function(tvb, pinfo, tree, id, accepts_all, length), of host.can
 function M.new(reading, builder, buses, dissect)
   return setmetatable({
@@ -119,11 +119,11 @@ end
 local function new_frame(self, tvb, pinfo, id)
   local frame, number = records.new_can_frame(), pinfo.number
   frame.key, frame.number = number * frame_key.PACKET + self.offset, number
-  frame.time = self.buses:time(pinfo)
+  frame.time = pinfo.rel_ts
   frame.can_id = can_id.fields[id]
   frame.seq = frame.can_id.seq
   frame.data, frame.reported = tvb:raw(self.offset, self.captured), self.length
-  frame.bus = self.buses.bus_is_per_packet and self.buses.of(number, self.offset, pinfo) or false
+  frame.bus = self.buses.bus_is_per_packet and self.buses.bus_of(number, pinfo) or false
   return frame
 end
 

@@ -24,7 +24,7 @@ Dissector.__index = Dissector
 -- reading     a reading.reading
 -- view        a show.packet
 -- builder     a show.tree
--- buses       a host.buses
+-- buses       a capture.capture
 -- tcp_header  Proto that reads TCP's headers
 function M.new(reading, view, builder, buses, tcp_header)
   return setmetatable({
@@ -70,7 +70,7 @@ end
 local function line_of(self, pinfo, kind)
   local from, bus, is_bus_known, time = tostring(pinfo.src), nil, true, nil
   if not lines.is_ip(kind, from) then
-    bus, is_bus_known = self.buses.of(pinfo.number, 0, pinfo)
+    bus, is_bus_known = self.buses.bus_of(pinfo.number, pinfo)
   elseif not pinfo.visited then
     time = self.buses:time(pinfo)
   end

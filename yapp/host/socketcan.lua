@@ -9,6 +9,7 @@
 -- frame.  So it begins only with Decode As, yapp.all_extended or a statistic.  If only statistics
 -- are wanted, it ends: a tap, which sees the whole packet, reads the headers that are needed.
 
+local fields_of = require "yapp.capture.fields"
 local wrapper = require "yapp.host.wrapper"
 
 local M = {}
@@ -23,23 +24,6 @@ local header = {}
 
 -- Fields ------------------------------------------------------------------------------------------
 
--- Read the values of the wanted fields alone: on 4.0 the value of an item without bytes, such as a
--- packet comment, throws past Lua.
-local function pick_fields(names, ok, ...)
-  local found = {}
-  for _, info in ipairs(ok and { ... } or {}) do
-    if names[info.name] then found[info.name] = info.value end
-  end
-  return found
-end
-
---- Return the wanted fields that the tree has so far; none if no tree is built.
--- names    { [filter name] = true } of the wanted fields
--- returns  { [filter name] = value }
-function M.fields_of(names)
-  return pick_fields(names, pcall(all_field_infos))
-end
-
 local NAMES = { ["can.id"] = true, ["can.flags.xtd"] = true, ["can.flags.rtr"] = true }
 
 local function is_true(value) return value == true or value == 1 end
@@ -48,7 +32,7 @@ local function is_true(value) return value == true or value == 1 end
 -- returns  29-bit id; nil if it is no extended data frame; nil and true if nothing tells
 function M.find_id(pinfo)
   if header.number == pinfo.number then return header.can_id end
-  local fields = M.fields_of(NAMES)
+  local fields = fields_of(NAMES)
   local id, extended = fields["can.id"], fields["can.flags.xtd"]
   if id ~= nil and extended ~= nil then return is_true(extended) and id % MASK or nil end
   -- "Ext. ID: 138428416 (0x8404000), Length: 8", as SocketCAN leaves it in the Info column.
@@ -61,7 +45,7 @@ end
 -- remote frames have no data, but captures give them zeros.  Return nil if nothing says it.
 function M.is_remote(pinfo)
   if header.number == pinfo.number then return header.can_id == nil end
-  local rtr = M.fields_of(NAMES)["can.flags.rtr"]
+  local rtr = fields_of(NAMES)["can.flags.rtr"]
   if rtr ~= nil then return is_true(rtr) end
   local info = tostring(pinfo.cols.info)
   if info == NO_COLUMN then return nil end

@@ -40,7 +40,7 @@ History.__index = History
 --- Make the history of one pass over one capture.
 -- options  { catalogue = compiled,
 --            late = periods of a message that a gap must exceed to be late,
---            buses = a host.buses, asked whether the capture has times and a clock }
+--            buses = a capture.capture, asked whether the capture has times and a clock }
 function M.new(options)
   local self = setmetatable({
     options = options,

@@ -21,7 +21,7 @@ local Copies = {}
 Copies.__index = Copies
 
 --- Make the finder of one capture.
--- buses  a host.buses, asked whether the capture has times and a clock
+-- buses  a capture.capture, asked whether the capture has times and a clock
 function M.new(buses)
   local _, has_clock = buses:has_times()
   return setmetatable({

@@ -35,7 +35,7 @@ Reading.__index = Reading
 
 --- Make the reading.
 -- types  a message.types
--- buses  a host.buses
+-- buses  a capture.capture
 -- on_unknown  see can.reassembly
 function M.new(types, buses, on_unknown)
   return setmetatable({

@@ -16,7 +16,7 @@ local Lines = {}
 Lines.__index = Lines
 
 --- Make the lines of a capture.
--- types  a message.types, buses = a host.buses
+-- types  a message.types, buses = a capture.capture
 function M.new(types, buses)
   return setmetatable({
     types = types,

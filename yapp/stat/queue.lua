@@ -326,7 +326,7 @@ local function without_repeats(texts)
 end
 
 --- End: all packets have come.
--- capture  { unfinished = events of the messages that it ends before, drops = of host.buses,
+-- capture  { unfinished = events of the messages that it ends before, drops = of capture.capture,
 --          options = list of tshark's options that may decode other packets, or nil; certain =
 --          those of them that certainly decode YAPP; notes = list of texts to say besides, or nil;
 --          lacks_times = true if packets have no time stamps, extended = number of extended CAN

@@ -2,7 +2,7 @@
 -- Statistics in tshark (-z yapp,...): taps, output, exit codes.  Wireshark's windows are
 -- stat.menu's.  Wireshark's API.
 
-local command = require "yapp.host.command"
+local command = require "yapp.capture.command_line"
 local joined = require "yapp.base.joined"
 local menu = require "yapp.stat.menu"
 local options_of = require "yapp.stat.options"
@@ -37,7 +37,7 @@ Stat.__index = Stat
 --     sources       a message.sources; sources_text = the preference that it was read from
 --     ids           [message name] = list of the IDs that its preference has
 --     problems      list of texts: wishes of the user that were not met }
---   intake     a stat.intake, builder = a show.tree, buses = a host.buses
+--   intake     a stat.intake, builder = a show.tree, buses = a capture.capture
 --   reading    a reading.reading, frames = a host.can, deferral = its host.deferral
 --   find_options  function() -> list of tshark's options that may decode other packets, and
 --              those of them that certainly decode YAPP
@@ -132,7 +132,7 @@ local function tap_packets(self)
       if not self.frames:is_second_pass(pinfo.number) then end_trees(self, tap, clock) end
     end
     if deferral.is_undecided then deferral:decide(self.builder.wanted) end
-    self.queue:packet(pinfo.number, pinfo[buses.time_name] - buses.start, lacks_clock)
+    self.queue:packet(pinfo.number, pinfo.rel_ts, lacks_clock)
     calls.ended = calls.ended + 1
   end
 

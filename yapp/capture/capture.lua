@@ -1,14 +1,15 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The bus on which a packet was captured, and the packets that the capture dropped.
--- Wireshark's API.
+-- What is known of the packets of a capture: the bus of each, whether their times are real, and how
+-- many were lost.  Nobody else looks for that.  Wireshark's API.
 --
--- The file tells it (host.capture), or the reader of ours that reads the file.  In a live capture,
--- and in a pipe behind its first bytes, fields of the packet tell it: a tap makes Wireshark build
--- the tree that has these.
+-- The file tells it (capture.file), or the reader of ours that reads the file.  In a live capture,
+-- and in a pipe behind its first bytes, fields of the packet tell its bus: a tap makes Wireshark
+-- build the tree that has these.
 
-local capture = require "yapp.host.capture"
+local command_line = require "yapp.capture.command_line"
+local fields_of = require "yapp.capture.fields"
 local file_readers = require "yapp.file.readers"
-local socketcan = require "yapp.host.socketcan"
+local files = require "yapp.capture.file"
 
 local M = {}
 
@@ -18,57 +19,45 @@ local NAMES = {}
 for name in FIELDS:gmatch("[%w_.]+") do NAMES[name] = true end
 local IS_TSHARK = not gui_enabled()
 local IS_WINDOWS = package.config:sub(1, 1) == "\\"
+local TOO_FAR = 2 ^ 62 -- offset that no file has
+local SAME_TIME = 2e-6 -- seconds
 
-local Buses = {}
-Buses.__index = Buses
+local Capture = {}
+Capture.__index = Capture
 
-local MAX_FREE = 8 -- numbers of files in a row: a new file gets the lowest that is free
-
--- Return the read positions of all open files of this process, as one text.  Linux tells them; on
--- macOS /dev/fd/N is the open file itself.
-local function positions()
-  local list, free = {}, 0
-  for number = 3, 63 do
-    local info = io.open("/proc/self/fdinfo/" .. number)
-    local file = info or io.open("/dev/fd/" .. number)
-    list[#list + 1] = info and info:read("*l") or file and file:seek()
-    if file then file:close() end
-    free = file and 0 or free + 1
-    if free == MAX_FREE then break end
-  end
-  return table.concat(list, " ")
-end
-
--- Read the first bytes of a capture.
--- returns  the bytes; true if it is a file: more of a pipe must not be read, as Wireshark cannot
---          rewind it further.  In tshark, the read of a file moves the position of an open file;
---          and why they cannot be read, nil if they can
-local function read_head(file)
-  local before = positions()
-  local head, why = file:read(capture.HEAD)
-  return head or "", not IS_TSHARK or IS_WINDOWS or positions() ~= before, why
+-- Return whether more than the first bytes may be read: Wireshark rewinds a file, a pipe no further
+-- than these.  Two passes need a file, where a seek too far fails at once.  Of one pass a name with
+-- an extension shows it; a file that is taken for a pipe is dissected alike, but slower.
+local function is_file(file)
+  if not IS_TSHARK or IS_WINDOWS then return true end
+  local options = command_line.options()
+  local path = options.r or options["read-file"] or ""
+  return path:find("%.%w+$") ~= nil or not file:seek("set", TOO_FAR)
 end
 
 --- Look at the head of each file from now on.  Call it once.
 function M.watch()
-  local self = setmetatable({ seen = capture.read("", function() end) }, Buses)
+  local self = setmetatable({ seen = files.read("", function() end) }, Capture)
   -- Register a reader that opens no file: only a reader's read_open is shown the file.  Give both
   -- arguments a name, so that Lua keeps them: Wireshark writes into both when read_open is back.
   local handler = FileHandler.new("YAPP reads heads of files (opens none)", "yapp_head",
     "Looks at the headers", "rms")
   function handler.read_open(file, _)
-    self.has_seen_file = true
-    local head, is_file, why = read_head(file)
+    local head, why = file:read(files.HEAD)
+    head = head or ""
+    self.is_short = #head < files.HEAD
+    local may_read = not self.is_short and is_file(file)
+    file:seek("set", #head)
     local function more(skip, count)
-      if not is_file then return nil end
+      if not may_read then return nil end
       if skip > 0 then file:seek("cur", skip) end
       local bytes, problem = file:read(count)
       why = why or problem
       return bytes
     end
-    self.seen = capture.read(head, more)
-    self.is_short = #head < capture.HEAD
-    self.is_long_pipe = not (self.is_short or is_file)
+    self.seen = files.read(head, more)
+    self.has_seen_file = true
+    self.is_long_pipe = not (self.is_short or may_read)
     self.is_damaged = why ~= nil -- as a compressed file that was cut off
     file_readers.forget()
     return false
@@ -80,16 +69,16 @@ function M.watch()
   return self
 end
 
--- The bus by the fields of the current packet; nil where they do not tell it.
+-- The bus by the fields of the current packet; nil where they do not tell it: in a later section
+-- interfaces are numbered anew.
 local function bus_by_fields(found)
-  local fields = socketcan.fields_of(NAMES)
+  local fields = fields_of(NAMES)
   local interface, index = fields["frame.interface_id"], fields["sll.ifindex"]
   local event, name = fields["rtacser.eventtype"], fields["frame.interface_name"]
-  if not (interface or index or event) then return nil end
+  if not (interface or index or event) or (fields["frame.section_number"] or 1) > 1 then return end
   if name == "unknown" then name = nil end
-  local section = fields["frame.section_number"] or 1
   local direction = fields["frame.packet_flags_direction"]
-  return found:bus_by_fields(section, interface or 0, index or 0, event, name, direction)
+  return found:bus_by_fields(interface or 0, index or 0, event, name, direction)
 end
 
 -- Find the bus of a packet behind those that were read when the file was opened.
@@ -102,23 +91,18 @@ local function find_later(self, number)
   return bus, bus ~= nil
 end
 
--- The least offset of CAN data inside an Ethernet frame (IEEE 1722): it is of that one's interface,
--- which is known if it is the only one.
-local IN_ETHERNET = 42
-
--- Find the bus of a packet, see Buses:init.
--- in_file  of Capture:bus_finder
-local function find_bus(self, in_file, number, offset, pinfo)
+-- Find the bus of a packet, see Capture:init.
+-- in_file  of File:bus_finder
+local function find_bus(self, in_file, number, pinfo)
   local found, bus, name = self.found, nil, nil
   if not found.is_told then bus, name = file_readers.current() end
   if bus then
     found.names[bus] = name
     return bus, true
   end
-  if found.has_several then return in_file(number, offset, pinfo) end
+  if found.has_several then return in_file(number, pinfo) end
   if number > found.count and self.tap then return find_later(self, number) end
-  local is_inside = offset >= IN_ETHERNET and found.carriers < 2
-  return nil, not found.is_unknown or is_inside
+  return nil, not found.is_unknown
 end
 
 -- Return whether fields tell the bus of packets behind those that were read.
@@ -126,24 +110,16 @@ local function are_fields_needed(self)
   local found = self.found
   -- A short file may be of a live capture that already had packets when it was opened.
   local may_go_on = self.is_short and found.has_several or found.is_live
-  local is_open = self.is_long_pipe and found.yapp_interfaces > 0
+  local is_open = self.is_long_pipe and found.may_add_buses
   return may_go_on or is_open or self.is_damaged or self:missed_file()
-end
-
--- Return which time of a packet to use, and that of the first packet.  If this has no time
--- stamp, pinfo.rel_ts is of no use: 4.0 counts from 1970, 4.4 and 4.6 say 0.
-local function clock_of(found)
-  if found.start then return "abs_ts", found.start end
-  return "rel_ts", 0
 end
 
 --- Use the file that was seen last: it is about to be dissected.  Files seen before it did not
 -- open, or were only previewed in a file dialog.
-function Buses:init()
+function Capture:init()
   local found = self.seen
   self.found = found
   self.plain_bus = file_readers.log().plain_bus
-  self.time_name, self.start = clock_of(found)
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
   local needs_fields = are_fields_needed(self)
   self.bus_is_per_packet = needs_fields or found.has_several or
@@ -158,40 +134,39 @@ function Buses:init()
   local is_all_told = found.is_told and found.has_several and not self.tap
   --- Return where the current packet was captured.
   -- number   of the packet, which Wireshark need not be asked for again
-  -- offset   of the bytes in the packet
   -- returns  the number of its bus, nil if the capture has only one or nothing tells it; and
   --          true if the bus is known
-  self.of = is_all_told and in_file or function(number, offset, pinfo)
-    return find_bus(self, in_file, number, offset, pinfo)
+  self.bus_of = is_all_told and in_file or function(number, pinfo)
+    return find_bus(self, in_file, number, pinfo)
   end
 end
 
 --- Return whether the capture was opened before the plugin was loaded: Wireshark loaded its Lua
 -- plugins again.  Then fields tell the bus, and nothing tells of dropped packets.
-function Buses:missed_file()
+function Capture:missed_file()
   return not (IS_TSHARK or self.has_seen_file)
 end
 
 --- Return whether the capture is a regular file, and longer than its first bytes.
-function Buses:has_more_to_read()
+function Capture:has_more_to_read()
   return not (self.is_short or self.is_long_pipe)
 end
 
 --- Return whether the capture is known to have several buses.
-function Buses:are_several()
+function Capture:are_several()
   return self.found.has_several or file_readers.log().has_several
 end
 
 --- Return the packets that the capture dropped: a list of { time = seconds since 1970
 -- or nil, frame = number of the packet behind the loss or nil, bus = name or nil, count }.
-function Buses:drops()
+function Capture:drops()
   local drops = self.found.drops
   return drops[1] and drops or file_readers.log().drops or {}
 end
 
 --- Return whether packets of the capture have time stamps, and whether these tell when packets were
 -- captured: those of controllers do not.  A reader of ours knows it with the first packet.
-function Buses:has_times()
+function Capture:has_times()
   local found = self.found
   local has_times = not found.lacks_times
   if found.is_told then return has_times, has_times end -- no reader of ours reads it
@@ -202,20 +177,35 @@ end
 
 --- Return whether the first packets of the file have different time stamps: then these mean
 -- something.
-function Buses:stamps_differ()
+function Capture:stamps_differ()
   return self.found.stamps_differ or file_readers.log().stamps_differ or false
 end
 
---- Return the seconds from the first time stamp of the capture to the current packet.
-function Buses:time(pinfo)
-  return pinfo[self.time_name] - self.start
+--- Return the seconds from the first packet of the capture to the current one.
+function Capture.time(_, pinfo)
+  return pinfo.rel_ts
+end
+
+--- Return when the time of a packet counts from: that of the first packet, to the nanosecond where
+-- the file or a reader of ours tells it.
+-- pinfo    of any packet
+-- returns  seconds and nanoseconds since 1970, integers
+function Capture.begin(self, pinfo)
+  local begin = pinfo.abs_ts - pinfo.rel_ts -- to a quarter of a microsecond
+  local first = self.found.first or file_readers.log().first
+  -- A read filter may have dropped the first packet of the file.
+  if first and math.abs(first[1] + first[2] / 1e9 - begin) < SAME_TIME then
+    return first[1], first[2]
+  end
+  local microseconds = math.floor(begin * 1e6 + 0.5)
+  return math.floor(microseconds / 1e6), microseconds % 1e6 * 1000
 end
 
 --- Return the name of a bus.
 -- bus      its number; nil where the capture has one or tells none apart
 -- is_ip    true if the packet came in UDP or TCP, so by any interface
 -- returns  text, or nil where the capture names none
-function Buses:name(bus, is_ip)
+function Capture:name(bus, is_ip)
   return self.found:name(bus, is_ip) or not bus and self.plain_bus or nil
 end
 

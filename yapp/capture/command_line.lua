@@ -1,18 +1,51 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The wishes of tshark's command line that the API does not tell.  Wireshark's API.
-
-local command_line = require "yapp.base.command_line"
+-- The command line of tshark.  Where the system does not tell it nothing else changes: packets are
+-- decoded alike.  Linux does.  Pure Lua but for the options of this process.
 
 local M = {}
 
---- Return the options of the command line, see base.command_line; none in Wireshark, and where the
+local HAS_VALUE = {} -- the letters of tshark 4.0 to 4.6 that a value follows
+for letter in ("aAbBcCdeEfFHijJkKmMNoOrRsStTuUwWXyYz"):gmatch(".") do HAS_VALUE[letter] = true end
+
+-- Parse the letters of a word such as -qYyapp.
+-- returns  the letter whose value is the next word; nil if the word is complete
+local function parse_letters(found, letters)
+  for i = 1, #letters do
+    local letter = letters:sub(i, i)
+    local rest = letters:sub(i + 1)
+    found[letter] = HAS_VALUE[letter] and rest or ""
+    if HAS_VALUE[letter] then return rest == "" and letter or nil end
+  end
+end
+
+--- Return the options of a command line: their values by letter or long name, "" for none.
+-- text  the words, each with a zero byte behind it, as /proc/self/cmdline has them; the first is
+--       the program
+function M.parse(text)
+  local found, open, is_program = {}, nil, true
+  for word in text:gmatch("([^\0]*)\0") do
+    local name, value = word:match("^%-%-([%w-]+)=?(.*)$")
+    if is_program then
+      is_program = false
+    elseif open then
+      found[open], open = word, nil
+    elseif name then
+      found[name] = value
+    elseif word:find("^%-.") then
+      open = parse_letters(found, word:sub(2))
+    end
+  end
+  return found
+end
+
+--- Return the options of the command line, see M.parse; none in Wireshark, and where the
 -- system does not tell them.  Linux does.
 function M.options()
   local file = not gui_enabled() and io.open("/proc/self/cmdline", "rb")
   if not file then return {} end
   local text = file:read("*a")
   file:close()
-  return command_line.options(text)
+  return M.parse(text)
 end
 
 -- Return the number and the time of a file of a ring by the tail of its name,
