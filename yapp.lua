@@ -37,7 +37,6 @@ end)
 local binary = require "yapp.message.binary"
 local captures = require "yapp.capture.capture"
 local can_id = require "yapp.wire.can_id"
-local catalogue_files = require "yapp.message.catalogue_files"
 local compiler = require "yapp.message.catalogue"
 local field_kinds = require "yapp.message.field_kinds"
 local file_readers = require "yapp.file.readers"
@@ -69,8 +68,14 @@ local usb = later "yapp.host.usb"
 -- personal configuration folder, and from the files that a preference and the environment name.
 -- Fields can be registered only while a plugin loads, and then the API tells no preference.  So the
 -- default profile's preference is read from its file.
-local default_profile = Dir.personal_config_path("preferences")
-local chosen_file = catalogue_files.read_preference(default_profile, "yapp.messages")
+local function read_chosen_file()
+  local file = io.open(Dir.personal_config_path("preferences"))
+  if not file then return nil end
+  local text = "\n" .. file:read("*a")
+  file:close()
+  return text:match("\nyapp%.messages:[ \t]*([^%s][^\r\n]*)")
+end
+local chosen_file = read_chosen_file()
 
 local function load_catalogue()
   local files = { { path = here .. "taurus_fields.lua" },
@@ -78,7 +83,7 @@ local function load_catalogue()
   for _, path in ipairs { chosen_file or "", os.getenv("YAPP_MESSAGES") or "" } do
     if path ~= "" then files[#files + 1] = { path = path } end
   end
-  local compiled, problems = catalogue_files.load(files, show_fields.EXPERT_NAMES)
+  local compiled, problems = compiler.load(files, show_fields.EXPERT_NAMES)
   preferences.complain(problems)
   return compiled, #problems == 0
 end

@@ -369,16 +369,15 @@ function T.test_names_of_interfaces()
     for _, options in ipairs { named("can0") .. ended, "", comment .. named("vcan12"),
       named("m\195\188") .. ended,
       named("\255"), named("a\1b"), named(""), ended .. named("behind the end"), named("end\0\0\0"),
-      comment .. number(2, 2) .. number(60000, 2) .. "cut", named("can9"),
-      named("a\\x01b"), named("a\226\128\139b") } do
+      comment .. number(2, 2) .. number(60000, 2) .. "cut", named("can9") } do
       file = file .. interface(CAN, number, options)
     end
     local names = { "can0", "if1", "vcan12", "m\195\188", "\\xFF", "a\\x01b", "if6", "if7", "end",
-      "if9", "can9", "a\\x5Cx01b", "a\\xE2\\x80\\x8Bb" }
+      "if9", "can9" }
     -- of a block 64 options are read
     file = file .. interface(CAN, number, comment:rep(63) .. named("last") .. ended) ..
       interface(CAN, number, comment:rep(64) .. named("behind the last") .. ended)
-    names[#names + 1], names[#names + 2] = "last", "if14"
+    names[#names + 1], names[#names + 2] = "last", "if12"
     lu.assertEquals(read(file).names, names)
     for length = 0, #file do lu.assertTable(read(file:sub(1, length)).names) end
   end

@@ -153,8 +153,8 @@ function T.test_the_document_s_example()
   lu.assertEquals(raws[MOTOR.by_name.dc_voltage.index], 0xAFF5)
   lu.assertEquals(raws[MOTOR.by_name.status_flags.index], 0x40010000)
   lu.assertEquals(text_of.flag_names(MOTOR.by_name.status_flags, 0x40010000), "stopped, mpos_update")
-  lu.assertEquals(text_of.writer_of(MOTOR.info)(raws), "0.0/0.0 RPM  47.97 V  0.00 A")
-  lu.assertEquals(text_of.writer_of(MOTOR.info_rest)(raws), "ESC NaN °C  0.00 A torque")
+  lu.assertEquals(MOTOR.info(raws), "0.0/0.0 RPM  47.97 V  0.00 A")
+  lu.assertEquals(MOTOR.info_rest(raws), "ESC NaN °C  0.00 A torque")
   lu.assertEquals(text_of.faults(MOTOR, raws), "")
   lu.assertEquals({ #remarks, remarks[1][2] }, { 1, "value.special" }) -- no thermistor on the ESC
 end
@@ -165,7 +165,7 @@ function T.test_a_payload_that_is_cut()
     for i, f in ipairs(MOTOR.fields) do
       if f.kind ~= "time" then lu.assertEquals(raws[i] ~= nil, f.offset + f.size <= length) end
     end
-    lu.assertStrContains(text_of.writer_of(MOTOR.info)(raws), " RPM")
+    lu.assertStrContains(MOTOR.info(raws), " RPM")
     lu.assertEquals(text_of.faults(MOTOR, raws), "")
   end
 end
@@ -220,7 +220,7 @@ end
 
 function T.test_special_values_in_the_info_column()
   local raws = COMMAND.read(bytes("01A501FFFFFEFF"))
-  lu.assertEquals(text_of.writer_of(COMMAND.info)(raws), "Enabled, Full Operation  Speed Mode  +inf RPM  NaN A")
+  lu.assertEquals(COMMAND.info(raws), "Enabled, Full Operation  Speed Mode  +inf RPM  NaN A")
 end
 
 return T

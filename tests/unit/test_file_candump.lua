@@ -169,8 +169,6 @@ function T.test_names_of_buses_are_fit_to_be_printed()
   lu.assertEquals(column(frames, "bus_name"), { "can\\xFF", "can\\xFE", "\195\188can", "\\x01\\x7Fcan9", "can\\xFF" })
   lu.assertEquals(column(frames, "bus"), { 0, 1, 2, 9, 0 })
   lu.assertEquals(frames[1].comment, "Interface index 0 is can\\xFF")
-  frames = frames_of("(1.000000) can\255 123#11\n(1.000001) can\\xFF 123#11\n") -- names stay apart
-  lu.assertEquals(column(frames, "bus_name"), { "can\\xFF", "can\\x5CxFF" })
 end
 
 -- The same in the format of logs, candump -L -t d; short times of other programs are none since the frame before.

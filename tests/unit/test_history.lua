@@ -407,20 +407,6 @@ function T.test_a_flag_that_is_an_alarm_beside_others()
   lu.assertEquals({ changes[4].previous_change, h:state(messages[2]).next_change }, { 2, 4 })
 end
 
--- A number in some bits of a field with faults is no flag: it neither rises nor falls.
-function T.test_a_part_of_bits_beside_alarms()
-  local own = catalogue.compile { { name = "own", title = "Own", id = 1, size = 1, { "f", "uint8", "F", group = "g",
-    alarm = "ALARM", flags = { { "hot", 0x80, "Hot" } }, bits = { { "gear", 0x7, "Gear" } } } } }
-  local message, h, found = own.by_id[1], new(), {}
-  for i, raw in ipairs { 0x01, 0x02, 0x82, 0x83, 0x03 } do
-    found[i] = h:add { source = source_of("", message), seq = 0, key = i, time = i, status = "good", raws = { raw },
-      payload = "" }
-  end
-  for _, i in ipairs { 1, 2, 4 } do lu.assertNil(found[i] and found[i].flags) end
-  lu.assertEquals(found[3].flags, { change(message.fields[1], 0x82, 0x80, 0) })
-  lu.assertEquals(found[5].flags, { change(message.fields[1], 0x03, 0, 0x80) })
-end
-
 -- A random capture: the same seed gives the same messages.
 local function random_messages(seed, count)
   local state = seed

@@ -4,7 +4,6 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local sources = require("yapp.message.sources")
-local text_of = require("yapp.message.text")
 local types_of = require("yapp.message.types")
 
 local T = {}
@@ -89,11 +88,11 @@ function T.test_info_leaves_out_what_a_column_says()
     local source = r:new_source(id, false, "can1")
     lu.assertEquals(source.short, said)
     lu.assertStrContains(source.label, source.name or "can1")
-    lu.assertTrue(source.write == (source.type and text_of.writer_of(source.type.info)))
+    lu.assertTrue(source.write == (source.type and source.type.info))
   end
   r:use(r.by_id, r.sources, { values = true }, ignore)
   for _, message in ipairs(TAURUS.messages) do
-    lu.assertTrue(r:new_source(message.id, false).write == text_of.writer_of(message.info_rest))
+    lu.assertTrue(r:new_source(message.id, false).write == message.info_rest)
   end
 end
 

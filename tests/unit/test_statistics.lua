@@ -23,7 +23,6 @@ local CATALOGUE, PROBLEMS = catalogue_of.compile {
   { name = "motor", title = "Motor Data", id = 0x210, size = 11, every = 0.1,
     { "volts", "float8", "Volts", min = 0, max = 250, unit = "V" },
     { "fault_flags", "uint8", "Faults", group = "fault", alarm = "FAULT",
-      bits = { { "level", 0xC0, "Level", values = { [0] = "a", "b", "c", "d" } } },
       flags = { { "hot", 0x1, "Hot" }, { "stall", 0x6, "Stall" } } },
     { "mode", "uint8", "Mode", values = { [0] = "off", [3] = "on" } },
     { "clock", "int64_ns", "Clock" } },
@@ -325,8 +324,8 @@ end
 
 -- csv -----------------------------------------------------------------------------------------------------------
 
-local COLUMNS = "volts,volts_special,fault_flags,fault_hot,fault_stall,level,level_text,mode,mode_text,clock"
-local CELLS = "10,,0,0,0,0,a,3,on,4.500000000"
+local COLUMNS = "volts,volts_special,fault_flags,fault_hot,fault_stall,mode,mode_text,clock"
+local CELLS = "10,,0,0,0,3,on,4.500000000"
 local ROWS = { record(1, 0.25), bad(2, 0.5), record(3, 1, { source = RIGHT, seq = 7 }),
   record(4, 2, { fits = false }), record(5, 3, { source = ODD, fits = false }) }
 
@@ -686,13 +685,6 @@ local function found(what, text, records, with)
     if line:find(text, 1, true) then list[#list + 1] = line:gsub('"time":.-"message":[^,}]*', "") end
   end
   return list
-end
-
--- A change of bits that are a part, in a field that has faults, is none.
-function T.test_a_part_is_no_fault()
-  local records = { record(1, 0), record(2, 0.1, { change = raised(0x40, 0x40) }) }
-  lu.assertEquals(run({ "faults" }, records), "YAPP faults: 0\n")
-  lu.assertEquals(verdicts("fault=0", records)[1], "fault=0 left true 0 null")
 end
 
 -- A compiled field says which of its bits are faults.
@@ -1680,7 +1672,7 @@ function T.test_wrong_options_are_named()
     ["check,motor.rate=nan"] = 'motor.rate=nan: "nan" is not a rate',
     ["check,motor.gap=-1"] = 'motor.gap=-1: "-1" is not a gap',
     ["check,motr.rate=1"] = 'motr.rate=1: there is no message "motr", but motor, note, health',
-    ["check,motor.volt=1..2"] = 'motor.volt=1..2: motor has no field "volt", but volts, fault_flags, level, mode, clock',
+    ["check,motor.volt=1..2"] = 'motor.volt=1..2: motor has no field "volt", but volts, fault_flags, mode, clock',
     ["check,motor.volts=3"] = "motor.volts=3: a range is A..B, A.. or ..B",
     ["check,note.text=0..1"] = "note.text=0..1: note.text is a text, which has no range",
     ["check,motor.volts=.."] = "motor.volts=..: a range is A..B, A.. or ..B",
@@ -1690,7 +1682,7 @@ function T.test_wrong_options_are_named()
     ["check,fault=0,source=x,source=y,crc=0"] = "source=y: no rule follows source=x: it is for those behind it",
     ["check,source=x,motor.volts.spread=1"] = "motor.volts.spread=1: a spread is of all sources, not of one",
     ["check,motor.volts.spread=-1"] = 'motor.volts.spread=-1: "-1" is not a spread',
-    ["check,motor.volt.spread=1"] = 'motor.volt.spread=1: motor has no field "volt", but volts, fault_flags, level, mode, clock',
+    ["check,motor.volt.spread=1"] = 'motor.volt.spread=1: motor has no field "volt", but volts, fault_flags, mode, clock',
     ["check,motor.volts.only=hot"] = "motor.volts.only=hot: motor.volts has no flags",
     ["check,motor.fault_flags.only=hot+cold"] =
       'motor.fault_flags.only=hot+cold: motor.fault_flags has no flag "cold", but hot, stall',

@@ -1,225 +1,308 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The catalogue compiler: checks the lists of messages once, at load, and prepares decoding.
--- Pure Lua.
+-- The catalogue compiler: reads the files that describe messages, checks them once, at load, and
+-- prepares decoding.  docs/catalogue.md names all options and types.  Pure Lua.
+--
+-- A compiled message type has
+--   name, title, id, filter ("taurus.motor"); section of a document, every (period in seconds) and
+--   answers (a message's name), or nil
+--   size, min_size (bytes: a shorter payload is not this message)
+--   fields, by_name, time (its first field of kind time)
+--   flag_fields (its fields of flags), alarms (those with a fault flag), fault_field (the first one
+--   whose flags are all faults)
+--   generated: a list of the values that are worked out from two fields: { name, title, filter,
+--   unit, kind = "derived", shape, operator ("*", "-", "+"), a and b (the fields), is_difference }
+--   derived: those of them that are columns of CSV, too
+--   rounded: a list of the values for columns, { filter, field (or one of generated), shape }
+--   filters: a list of { filter, type, title, description, base, values, mask }, see show.fields
+--   states: the filters of its state, { [its name in message.history] = filter }
+--   read (see message.decode), info and, beside columns, info_rest (see message.text)
+-- A field has name, title, filter, filters (a list of it and those below it), index (in fields),
+-- offset, size in bytes, type, unit and section or nil, shape (a format with as many digits as its
+-- count can carry; nil for ieee and integers), and kind, with the values that its kind needs:
+--   uint, int  bottom, top (lowest and highest count); values, invalid (its expert item)
+--   scaled     the same, and scale, zero: value = count * scale + zero
+--   flags      flags { name, mask, title, filter, help or nil }, group, undefined (mask: bits that
+--              nothing defines), alarm_bits (mask: bits that are faults), fault_word (in Info,
+--              before their names)
+--   float      compressed: min, max, top, ordinary (the highest count that is not reserved)
+--   ieee, bool, string, bytes, time
 
-local input = require "yapp.base.input"
+local band = require "yapp.base.bits".band
+local decode = require "yapp.message.decode"
 local field_kinds = require "yapp.message.field_kinds"
-local fields = require "yapp.message.catalogue_fields"
-local later = require "yapp.base.later"
+local filters = require "yapp.message.filters"
+local input = require "yapp.base.input"
 local text_of = require "yapp.message.text"
-local decode = later "yapp.message.decode"
 
-local demand, shown = input.demand, input.shown
-
--- Bytes of a message's title: Wireshark aborts at a preference with a longer one.
-local MAX_TITLE = 200
+local demand, shown, set = input.demand, input.shown, input.set
+local is_text = input.is_text
 
 local M = {}
 
-local DERIVED_OPTIONS = input.set("unit")
-local OPTIONS = input.set("name title section id size min_size info info_rest every answers " ..
+local MAX_SIZE = 65535 -- bytes of a payload
+local MAX_TITLE = 200 -- bytes: Wireshark aborts at a preference with a longer one
+local NO_ENTRY = 2 -- ENOENT
+local INVALID = set "value.invalid command.key.invalid" -- the expert items for values
+
+-- Types of fields and options --------------------------------------------------------------------
+
+-- [name] = { kind, size in bytes (nil: the row's length), bottom, top, options }
+local TYPES = {
+  bool = { kind = "bool", size = 1, bottom = 0, top = 1, options = set "section" },
+  int64_ns = { kind = "time", size = 8, options = set "section" },
+  string = { kind = "string", options = set "section length" },
+  bytes = { kind = "bytes", options = set "section length" },
+  padding = { kind = "padding", options = set "length" },
+  float64 = { kind = "ieee", size = 8, options = set "section unit" },
+}
+
+local function add_type(kind, size, bottom, top, options)
+  TYPES[kind .. 8 * size] = {
+    kind = kind,
+    size = size,
+    -- COMPAT 5.4: powers are floats there, which are printed with a ".0".
+    bottom = math.floor(bottom),
+    top = math.floor(top),
+    options = set(options),
+  }
+end
+
+for size = 1, 8 do
+  local span, options = 2 ^ (8 * size), "section unit scale offset"
+  local code = size <= 4 and " values invalid" or "" -- COMPAT 5.2: bits are those of four bytes
+  local flags = size <= 4 and " flags group alarm" or ""
+  add_type("int", size, -span / 2, span / 2 - 1, options .. code)
+  add_type("uint", size, 0, span - 1, options .. code .. flags)
+end
+for _, size in ipairs { 1, 2, 4 } do
+  add_type("float", size, 0, 2 ^ (8 * size) - 1, "section unit min max")
+end
+
+local MESSAGE_OPTIONS = set("name title section id size min_size info info_rest every answers " ..
   "differences derived")
+local FLAG_OPTIONS, DERIVED_OPTIONS = set "help alarm", set "unit"
 
--- Filters ----------------------------------------------------------------------------------------
+-- Lua's types of options; those of the others are texts.
+local OPTION_TYPES = {
+  id = "number", size = "number", min_size = "number", length = "number", every = "number",
+  scale = "number", offset = "number", min = "number", max = "number",
+  values = "table", flags = "table", differences = "table", derived = "table",
+  alarm = "string or boolean",
+}
 
--- Return the description of a field, a flag or a generated value.
-local function describe(of_type, one)
-  local text = one.title
-  if one.unit then text = text .. " in " .. one.unit end
-  if one.min then text = ("%s, %.10g to %.10g"):format(text, one.min, one.max) end
-  text = text .. ", of " .. of_type.title
-  if one.section then text = ('%s (section "%s")'):format(text, one.section) end
-  return text
-end
-
--- Digits behind the point in a column, by unit.
-local DIGITS = { RPM = 0, V = 2, A = 2, W = 0, ["°C"] = 0, ["%"] = 0 }
-
--- Add the filters of a field's flags.
-local function add_flags(of_type, field, add, about)
-  local title, group = field.title, field.group
-  add(group .. ".undefined", "UINT32", "Undefined bits", "Bits that nothing defines: " .. about,
-    "HEX")
-  for _, flag in ipairs(field.flags) do
-    local one = { title = flag.title .. ", one of " .. title, section = field.section }
-    local text = describe(of_type, one)
-    if flag.help then text = text .. ". " .. flag.help end
-    add(flag.filter, "BOOLEAN", flag.title, text, field.size * 8, nil, flag.mask)
-  end
-  if #field.flags == 0 then return end
-  add(field.filter .. ".names", "STRING", title, "Names of the bits that are set: " .. about)
-  for way, verb in pairs { raised = "rose", cleared = "fell" } do
-    add(group .. "." .. way, "UINT" .. 8 * field.size, title .. " " .. way,
-      ("Bits that %s since the source's previous good message: %s"):format(verb, about), "HEX")
-  end
-end
-
--- Add the filters of a field.
-local function add_field(of_type, field, add)
-  local title, about = field.title, describe(of_type, field)
-  local kind, base = field_kinds.BY_NAME[field.kind].filter(field)
-  if field.kind == "flags" then
-    add_flags(of_type, field, add, about)
-  elseif field.special then
-    local why = "Why there is no number, a reserved count, NaN or infinity: " .. about
-    add(field.special, "UINT8", title, why, nil, field_kinds.SPECIALS)
-  end
-  local mask = kind:find("^UINT") and field.mask or nil
-  add(field.filter, kind, title, about, base, field.values, mask)
-end
-
--- Add the filters of a message's state, by the names of message.history.
-local function add_state(of_type, add)
-  -- Prefer a field of nothing but faults: so filters keep their names if a flag of another field
-  -- becomes a fault.
-  local fault, states = of_type.fault_field or of_type.alarms[1], of_type.states
-  if of_type.time then
-    states.drift = add(of_type.filter .. ".clock_drift", "RELATIVE_TIME", "Clock drift",
-      "Controller's clock less the capture's since the source's first message or reboot")
-  end
-  if of_type.answers then
-    local command = of_type.answers:gsub("^%l", string.upper):gsub("_", " ")
-    states.command_in = add(("%s.%s_in"):format(of_type.filter, of_type.answers), "FRAMENUM",
-      ("Latest %s in"):format(command),
-      ("The latest %s on this bus before the message"):format(command), nil, "REQUEST")
-  end
-  if not fault then return end
-  of_type.fault_names = add(fault.group .. ".active_names", "STRING", "Faults",
-    "Names of all fault flags that are set in a message")
-  states.active_time = add(fault.group .. ".active_time", "RELATIVE_TIME",
-    "Time since the oldest fault was raised",
-    "Since the oldest fault that is still set was raised")
-  for _, way in ipairs { "raised", "cleared" } do
-    states[way .. "_in"] = add(("%s.%s_in"):format(fault.group, way), "FRAMENUM",
-      ("%s: %s in"):format(fault.title, way),
-      ("The message in which %s"):format(way == "raised" and
-        "the first of the faults was raised" or "the last of the faults was cleared"))
-  end
-  for _, way in ipairs { "previous", "next" } do
-    states[way .. "_change"] = add(("%s.%s_change"):format(fault.group, way), "FRAMENUM",
-      ("%s: %s change in"):format(fault.title, way),
-      ("The source's %s message that changes a fault"):format(way))
-  end
-end
-
--- Add the filters of values with as many digits as a column needs.
-local function add_rounded(of_type, add)
-  for _, list in ipairs { of_type.fields, of_type.generated } do
-    for _, one in ipairs(list) do
-      local digits = DIGITS[one.unit]
-      if digits and one.shape and not one.array then
-        table.insert(of_type.rounded, {
-          filter = add(one.filter .. ".rounded", "DOUBLE", one.title,
-            ("%s of %s, rounded for a column: not among a packet's details")
-              :format(one.title, of_type.title)),
-          field = one,
-          shape = ("%%.%df"):format(digits),
-        })
-      end
+-- Raise errors in the options of a message or a row.
+-- what     the owner of the options: "flag stopped", "type uint8"
+-- options  { [name] = true } of the options that are allowed
+-- count    how many values without a name it has
+local function check_options(row, what, options, count)
+  for key, value in pairs(row) do
+    if options[key] then
+      local types = OPTION_TYPES[key] or "string"
+      demand(types:find(type(value), 1, true), "%s must be a %s, not %s", key, types, shown(value))
+      demand(type(value) ~= "string" or is_text(value), "%s has a sign that cannot be shown", key)
+    else
+      demand(input.is_integer(key) and key >= 1 and key <= count, "unknown option %s; %s has %s",
+        shown(key), what, input.names(options))
     end
   end
 end
 
--- Add all filters of a message.  Raise that a filter is there twice or is reserved.
-local function add_filters(of_type, reserved, context)
-  local taken, filters = {}, {}
-  local function add(filter, ...)
-    demand(not (taken[filter] or reserved[filter]), "the filter name %s is taken", filter)
-    taken[filter] = true
-    table.insert(of_type.filters, { filter, ... })
-    filters[#filters + 1] = filter
-    return filter
+-- Raise errors in a row { name, ..., title, options }.
+-- kind     of row: "flag"
+-- count    how many values without a name it has; the last one is its title
+-- returns  what it is in errors: "flag stopped"
+local function check_row(row, kind, options, count)
+  demand(type(row) == "table", "%s: %s is not { name, ..., title }", kind, shown(row))
+  demand(input.is_name(row[1]), "%s: %s is not a filter name (a-z, 0-9, _)", kind, shown(row[1]))
+  local what = kind .. " " .. row[1]
+  demand(is_text(row[count]), "%s has no title", what)
+  check_options(row, what, options, count)
+  return what
+end
+
+-- Fields -----------------------------------------------------------------------------------------
+
+-- Raise that a number has no room in a field.
+local function check_fits(field, what, number, lowest)
+  local fits = input.is_integer(number) and number >= lowest and number <= field.top
+  demand(fits, "%s %s does not fit the type %s", what, shown(number), field.type)
+end
+
+local function add_flags(message_type, field, row)
+  demand(input.is_name(row.group), "flags need a group, a name for their filters")
+  field.kind, field.flags = "flags", {}
+  field.group = message_type.filter .. "." .. row.group
+  field.undefined, field.alarm_bits = field.top, row.alarm and field.top or 0
+  for i, flag in ipairs(row.flags) do
+    local what, mask = check_row(flag, "flag", FLAG_OPTIONS, 3), flag[2]
+    check_fits(field, what .. ": mask", mask, 1)
+    local taken = mask - band(mask, field.undefined)
+    demand(taken == 0, "%s: bit 0x%X is already another's", what, taken)
+    field.undefined = field.undefined - mask
+    if flag.alarm and not row.alarm then field.alarm_bits = field.alarm_bits + mask end
+    field.flags[i] = {
+      name = flag[1],
+      mask = mask,
+      title = flag[3],
+      help = flag.help,
+      filter = field.group .. "." .. flag[1],
+    }
   end
-  add(of_type.filter, "NONE", of_type.title, "A whole message: " .. of_type.title)
-  add_state(of_type, add)
-  for _, item in ipairs(of_type.generated) do
-    add(item.filter, "DOUBLE", item.title, describe(of_type, item))
+  table.insert(message_type.flag_fields, field)
+  if field.alarm_bits == 0 then return end
+  field.fault_word = row.alarm or "FAULT"
+  table.insert(message_type.alarms, field)
+  if row.alarm then message_type.fault_field = message_type.fault_field or field end
+end
+
+-- min and max make a compressed float of the bytes; without them float32 is IEEE 754's.
+local function add_range(field, row)
+  if field.size == 4 and not (row.min or row.max) then
+    field.kind, field.bottom = "ieee", nil
+    return
   end
-  for _, field in ipairs(of_type.fields) do
-    local array = field.array or field -- its elements share the filters
-    context.field, filters = field.name, {}
-    if not array.filters then
-      add_field(of_type, array, add)
-      array.filters = filters
+  local is_range = row.min and row.max and row.min < row.max
+  demand(is_range, "%s needs min and max, min below max", field.type)
+  field.min, field.max = row.min + 0.0, row.max + 0.0 -- COMPAT 5.4: see add_scale
+  field.shape = field.size == 4 and "%.10g" or "%.7g" -- the digits that its count can carry
+  field.ordinary = field.top - 5
+end
+
+-- A linear scale: value = count * scale + offset.
+local function add_scale(field, row)
+  field.kind, field.shape = "scaled", "%.15g"
+  -- COMPAT 5.4: products of integers wrap around
+  field.scale, field.zero = (row.scale or 1) + 0.0, (row.offset or 0) + 0.0
+end
+
+local function add_values(field, row)
+  field.values, field.invalid = row.values, row.invalid or "value.invalid"
+  demand(INVALID[field.invalid], "invalid is value.invalid or command.key.invalid")
+  for value, meaning in pairs(row.values) do
+    check_fits(field, "value", value, field.bottom)
+    demand(is_text(meaning), "value %s has no meaning in words", shown(value))
+  end
+end
+
+-- Let the options of a row make its field one of codes, of flags, or of scaled integers.
+local function add_meaning(message_type, field, row)
+  local has_scale = row.scale or row.offset
+  local is_clear = not (row.values and row.flags) and not (has_scale and (row.values or row.flags))
+  demand(is_clear, "a field has one of values, flags and scale")
+  demand(row.flags or not (row.group or row.alarm), "group and alarm are for a field with flags")
+  if row.values then add_values(field, row) end
+  if row.flags then add_flags(message_type, field, row) end
+  if has_scale then add_scale(field, row) end
+end
+
+-- Make the field of a row and add it to its message type.
+local function add_field(message_type, row, definition, offset, size)
+  local field = {
+    name = row[1],
+    title = row[3],
+    type = row[2],
+    kind = definition.kind,
+    filter = message_type.filter .. "." .. row[1],
+    offset = offset,
+    size = size,
+    top = definition.top,
+    bottom = definition.bottom,
+    unit = row.unit,
+    section = row.section or message_type.section,
+    index = #message_type.fields + 1,
+  }
+  if field.kind == "float" then add_range(field, row) end
+  if field.kind == "ieee" or field.min then field.special = field.filter .. ".special" end
+  if field.kind == "bool" then field.invalid = "value.invalid" end
+  if field.kind == "time" then message_type.time = message_type.time or field end
+  add_meaning(message_type, field, row)
+  message_type.fields[field.index], message_type.by_name[field.name] = field, field
+end
+
+-- Compile the rows of a message; return the sum of their sizes in bytes.
+local function compile_fields(message_type, rows, context)
+  local offset = 0
+  for i, row in ipairs(rows) do
+    context.field = i
+    demand(type(row) == "table", "a field is a row { name, type, title }, not %s", shown(row))
+    if input.is_name(row[1]) then context.field = row[1] end
+    local definition = TYPES[row[2] or false]
+    demand(definition, "unknown type %s; the types are %s", shown(row[2]), input.names(TYPES))
+    check_options(row, "type " .. row[2], definition.options, 3)
+    local size = definition.size or row.length
+    input.within(row[2] .. " needs a length, and", size, 1, MAX_SIZE)
+    if definition.kind ~= "padding" then
+      demand(input.is_name(row[1]), "%s is not a filter name (a-z, 0-9, _)", shown(row[1]))
+      demand(is_text(row[3]), "the title is missing")
+      add_field(message_type, row, definition, offset, size)
     end
-    field.filters = array.filters
+    offset = offset + size
   end
   context.field = nil
-  add_rounded(of_type, add)
+  return offset
 end
 
 -- Generated values -------------------------------------------------------------------------------
 
 -- Return a field of numbers of a message.
 -- what  the item that needs it: "derived dc_power"
-local function number_field(of_type, what, name)
-  local field = of_type.by_name[name]
+local function number_field(message_type, what, name)
+  local field = message_type.by_name[name]
   demand(field and field_kinds.is_number(field), "%s: %s is no field of numbers", what, shown(name))
   return field
 end
 
 -- Add a value that is worked out from two fields.
 -- text     "field * field"
--- returns  the item of message.generated
-local function add_generated(of_type, what, name, text, title, unit)
+-- returns  the item of message_type.generated
+local function add_generated(message_type, what, name, text, title)
   local a, operator, b = tostring(text):match("^ *([%w_]+) *([*+-]) *([%w_]+) *$")
   demand(a, '%s: %s is not two fields with *, + or - between them: "voltage * current"', what,
     shown(text))
   local item = {
     name = name,
     title = title,
-    unit = unit,
-    filter = of_type.filter .. "." .. name,
+    filter = message_type.filter .. "." .. name,
     kind = "derived",
     shape = "%.7g",
     operator = operator,
-    a = number_field(of_type, what, a),
-    b = number_field(of_type, what, b),
+    a = number_field(message_type, what, a),
+    b = number_field(message_type, what, b),
   }
-  table.insert(of_type.generated, item)
+  table.insert(message_type.generated, item)
   return item
 end
 
 -- differences: { name, field, field, title }; derived: { name, "field * field", title, unit = }
-local function add_all_generated(of_type, entry)
-  for i, row in ipairs(entry.differences or {}) do
-    local what, first = input.row(row, "difference", i, 4, {}), of_type.by_name[row[2] or false]
+local function add_all_generated(message_type, entry)
+  for _, row in ipairs(entry.differences or {}) do
+    local what = check_row(row, "difference", {}, 4)
     local text = ("%s - %s"):format(row[2], row[3])
-    local item = add_generated(of_type, what, row[1], text, row[4], first and first.unit)
-    item.is_difference = true
+    local item = add_generated(message_type, what, row[1], text, row[4])
+    item.unit, item.is_difference = item.a.unit, true
   end
   for i, row in ipairs(entry.derived or {}) do
-    local what = input.row(row, "derived", i, 3, DERIVED_OPTIONS)
-    of_type.derived[i] = add_generated(of_type, what, row[1], row[2], row[3], row.unit)
+    local what = check_row(row, "derived", DERIVED_OPTIONS, 3)
+    local item = add_generated(message_type, what, row[1], row[2], row[3])
+    item.unit, message_type.derived[i] = row.unit, item
   end
 end
 
--- A message --------------------------------------------------------------------------------------
-
-local function check_head(entry)
-  local every, answers = entry.every, entry.answers
-  demand(input.is_text(entry.title), "the title is missing")
-  input.options(entry, "a message", OPTIONS, math.huge)
-  demand(#entry.title <= MAX_TITLE, "the title has more than %d bytes", MAX_TITLE)
-  input.within("id", entry.id, 0, input.MAX_ID)
-  input.within("size", entry.size, 1, fields.MAX_SIZE)
-  input.within("min_size", entry.min_size or entry.size, 1, entry.size)
-  demand(not every or input.is_finite(every) and every > 0,
-    "every %s is not a period in seconds", shown(every))
-  demand(not answers or input.is_name(answers), "answers %s is not the name of a message",
-    shown(answers))
-end
+-- Messages ---------------------------------------------------------------------------------------
 
 -- context  the subject of errors: context.field is set to the name of the current field, or nil
 local function compile_message(entry, reserved, context)
-  check_head(entry)
-  local of_type = {
+  local title, min_size = entry.title, entry.min_size or entry.size
+  demand(is_text(title) and #title <= MAX_TITLE, "the title is missing or too long")
+  check_options(entry, "a message", MESSAGE_OPTIONS, math.huge)
+  input.within("id", entry.id, 0, input.MAX_ID)
+  local message_type = {
     name = entry.name,
-    title = entry.title,
+    title = title,
     section = entry.section,
     id = entry.id,
     size = entry.size,
-    min_size = entry.min_size or entry.size,
+    min_size = min_size,
     every = entry.every,
     answers = entry.answers,
     filter = "taurus." .. entry.name,
@@ -233,113 +316,145 @@ local function compile_message(entry, reserved, context)
     states = {},
     filters = {},
   }
-  local size = fields.compile(of_type, entry, context)
-  demand(size == entry.size, "size is %d, but the fields add up to %d bytes", entry.size, size)
-  function of_type.read(payload)
-    of_type.read = decode.new_reader(of_type) -- now: most captures have no YAPP
-    return of_type.read(payload)
+  local size = compile_fields(message_type, entry, context)
+  demand(size == entry.size and size <= MAX_SIZE, "size is %s, but the fields add up to %d bytes",
+    shown(entry.size), size)
+  input.within("min_size", min_size, 1, size)
+  message_type.info = text_of.compile_info(message_type, entry.info or "")
+  message_type.info_rest = text_of.compile_info(message_type, entry.info_rest or entry.info or "")
+  add_all_generated(message_type, entry)
+  filters.add(message_type, reserved, context)
+  function message_type.read(payload)
+    message_type.read = decode.new_reader(message_type) -- now: most captures have no YAPP
+    return message_type.read(payload)
   end
-  of_type.info = text_of.compile_info(of_type, entry.info or "")
-  of_type.info_rest = text_of.compile_info(of_type, entry.info_rest or entry.info or "")
-  add_all_generated(of_type, entry)
-  add_filters(of_type, reserved, context)
-  return of_type
+  return message_type
 end
 
--- All messages -----------------------------------------------------------------------------------
-
+-- Compile an entry and add it to the catalogue.
 local function add_message(catalogue, entry, reserved, context)
   demand(type(entry) == "table", "a message is a table, not %s", shown(entry))
-  local name = entry.name
-  demand(input.is_name(name), "name %s is not a filter name (a-z, 0-9, _)", shown(name))
-  context.message = name
-  demand(not catalogue.names[name], "the name is there twice")
-  catalogue.names[name] = true
-  local of_type = compile_message(entry, reserved, context)
-  local other = catalogue.by_id[of_type.id]
-  demand(not other, "id 0x%X is that of message %s", of_type.id, other and other.name)
-  catalogue.messages[#catalogue.messages + 1] = of_type
-  catalogue.by_id[of_type.id] = of_type
+  demand(input.is_name(entry.name), "name %s is not a filter name (a-z, 0-9, _)", shown(entry.name))
+  context.message = entry.name
+  demand(not input.find(catalogue.messages, entry.name), "the name is there twice")
+  local message_type = compile_message(entry, reserved, context)
+  local other = catalogue.by_id[message_type.id]
+  demand(not other, "id 0x%X is that of message %s", message_type.id, other and other.name)
+  table.insert(catalogue.messages, message_type)
+  catalogue.by_id[message_type.id] = message_type
 end
 
 --- Check a catalogue and compile it.
 -- entries   the list of messages in taurus_fields.lua, described there
--- origins   optional list: { file, number in it } of each entry; a text about it begins with that
 -- reserved  optional { [filter name] = true } that no message may use
--- returns   { messages = list, by_id = { [id] = message } } of the messages without a mistake, and
---           a list of texts, one for each other message: which field is wrong and why
--- A compiled message has
---   name, title, id, filter ("taurus.motor"); section of a document, every (period in seconds) and
---   answers (a message's name), or nil
---   size, min_size (bytes: a shorter payload is not this message)
---   fields, by_name, time (its first field of kind time)
---   flag_fields (its fields of flags), alarms (those with a fault flag), fault_field (the first one
---   whose flags are all faults)
---   generated: a list of the values that are worked out from two fields: { name, title, filter,
---   unit, kind = "derived", shape, operator ("*", "-", "+"), a and b (the fields), is_difference }
---   derived: those of them that are columns of CSV, too
---   rounded: a list of the values for columns, { filter, field (or one of generated), shape }
---   filters: a list of { filter, type, title, description, base, values, mask }, see show.fields
---   states: the filters of its state, { [its name in message.history] = filter }
---   fault_names: the filter of the names of all faults that are set, nil without fault flags
---   read (see decode.new_reader), info and, beside columns, info_rest (see text.compile_info)
--- A field has name, title, filter, filters (a list of it and those below it), index (in fields),
--- offset, size in bytes, type, unit and section or nil, shape (a format with as many digits as its
--- count can carry; nil for ieee and integers), and kind, with the values that its kind needs:
---   uint, int  bottom, top; values, invalid, cases (a set); mask, low, inside: a part of the bits
---              of another field
---   scaled     the same, and scale, zero: value = count * scale + zero
---   flags      flags { name, mask, title, filter, help or nil }, group, undefined and watched
---              (masks: bits that nothing defines; bits outside of parts, whose changes are
---              reported), alarm_bits (mask: bits that are faults), fault_word (in Info, before
---              their names)
---   float      compressed: min, max, top, ordinary (the highest count that is not reserved)
---   ieee, bool, string, bytes, time
--- An element of an array has array, the common part of the elements; a field in a case of
--- variants has when = { index, value }.
-function M.compile(entries, origins, reserved)
-  local catalogue, problems = { messages = {}, by_id = {}, names = {} }, {}
-  for i = 1, #entries do
-    local origin = origins and origins[i] or {}
-    local context = { message = origin.number or i }
-    local ok, problem = pcall(add_message, catalogue, entries[i], reserved or {}, context)
+-- files     optional: the file of each entry, for errors
+-- returns   { messages = list of message types, by_id = { [id] = message type } } of the messages
+--           without a mistake, and a list of texts, one for each other message: which field is
+--           wrong and why
+function M.compile(entries, reserved, files)
+  local catalogue, problems = { messages = {}, by_id = {} }, {}
+  for i, entry in ipairs(entries) do
+    local context = { message = i }
+    local ok, problem = pcall(add_message, catalogue, entry, reserved or {}, context)
     if not ok then
-      local file = origin.file and origin.file .. ": " or ""
+      local file = files and files[i] .. ": " or ""
       local field = context.field and ", field " .. context.field or ""
-      problems[#problems + 1] =
-        ("%smessage %s%s: %s"):format(file, context.message, field, tostring(problem))
+      local text = "%smessage %s%s: %s; this message is not decoded"
+      problems[#problems + 1] = text:format(file, context.message, field, problem)
     end
   end
   return catalogue, problems
 end
 
---- Return those of a list of messages that may have a payload of this size, in bytes.
-function M.of_size(messages, size)
+-- Files ------------------------------------------------------------------------------------------
+
+local NOT_READ = "%s: the entry %s is not read: the file must return a list of messages, " ..
+  "{ { name = ... }, { name = ... } }, without a key in front and without a nil between"
+
+local function name_of(entry)
+  return type(entry) == "table" and entry.name or false
+end
+
+-- Run a file.
+-- returns  its list of messages; nil and why there is none
+local function read_file(path, is_optional)
+  local file, why, code = io.open(path)
+  if not file and is_optional and code == NO_ENTRY then return {} end
+  if not file then return nil, "cannot be read: " .. why end
+  file:close()
+  local ok, entries = pcall(function() return assert(loadfile(path))() end)
+  if not ok then return nil, "cannot be read: " .. tostring(entries) end
+  if type(entries) == "table" then return entries end
+  return nil, "the file must return a list of messages, not " .. shown(entries)
+end
+
+-- Add the entries of a file.  One with the name of an entry of an earlier file takes its index.
+-- all  { entries, files = lists }
+local function add_entries(all, entries, path, problems)
+  local index_by_name, count = {}, 0
+  for i, entry in ipairs(all.entries) do index_by_name[name_of(entry)] = i end
+  for i, entry in ipairs(entries) do
+    local index = index_by_name[name_of(entry)] or #all.entries + 1
+    all.entries[index], all.files[index], count = entry, path, i
+  end
+  for key in pairs(entries) do
+    if not (input.is_integer(key) and key >= 1 and key <= count) then
+      problems[#problems + 1] = NOT_READ:format(path, shown(key))
+    end
+  end
+end
+
+--- Read the files of the catalogue and compile them as one.
+-- files     list of { path =, optional = true if the file may be missing }, in order: a message of
+--           a later file replaces one of the same name
+-- reserved  see M.compile
+-- returns   as M.compile
+function M.load(files, reserved)
+  local all, problems = { entries = {}, files = {} }, {}
+  for _, file in ipairs(files) do
+    local entries, why = read_file(file.path, file.optional)
+    if entries then
+      add_entries(all, entries, file.path, problems)
+    else
+      problems[#problems + 1] = ("%s: %s; its messages are not decoded"):format(file.path, why)
+    end
+  end
+  local catalogue, mistakes = M.compile(all.entries, reserved, all.files)
+  for _, text in ipairs(mistakes) do problems[#problems + 1] = text end
+  return catalogue, problems
+end
+
+-- Sizes and IDs ----------------------------------------------------------------------------------
+
+--- Return those of a list of message types that may have a payload of this size, in bytes.
+function M.of_size(message_types, size)
   local list = {}
-  for _, of_type in ipairs(messages) do
-    if size >= of_type.min_size and size <= of_type.size then list[#list + 1] = of_type end
+  for _, message_type in ipairs(message_types) do
+    if size >= message_type.min_size and size <= message_type.size then
+      list[#list + 1] = message_type
+    end
   end
   return list
 end
 
---- Assign a message to each ID.
+--- Assign a message type to each ID.
 -- catalogue  compiled
 -- ids        { [message name] = list of IDs }, the user's choice
--- returns    { [id] = message }, and a list of texts for IDs that two messages claim: the first
---            keeps it
+-- returns    { [id] = message type }, and a list of texts for IDs that two messages claim: the
+--            first keeps it
 function M.assign(catalogue, ids)
   local by_id, problems = {}, {}
-  for _, of_type in ipairs(catalogue.messages) do
-    for _, id in ipairs(ids[of_type.name] or { of_type.id }) do
-      local other = by_id[id] or of_type
+  for _, message_type in ipairs(catalogue.messages) do
+    for _, id in ipairs(ids[message_type.name] or { message_type.id }) do
+      local other = by_id[id] or message_type
       by_id[id] = other
-      if other ~= of_type then
+      if other ~= message_type then
         problems[#problems + 1] = ("ID 0x%X is given to %s and to %s: it stays with %s")
-          :format(id, other.title, of_type.title, other.title)
+          :format(id, other.title, message_type.title, other.title)
       end
     end
   end
-  return by_id, input.first_of(problems)
+  return by_id, problems
 end
 
 return M

@@ -180,7 +180,7 @@ end
 local function flag_change(field, before, now)
   before = before or now - band(now, field.alarm_bits)
   local both = band(before, now)
-  local raised, cleared = band(now - both, field.watched), band(before - both, field.watched)
+  local raised, cleared = now - both, before - both
   if raised == 0 and cleared == 0 then return nil end
   return {
     field = field,

@@ -194,7 +194,7 @@ function M.parse(text, catalogue)
       problems[#problems + 1] = utf8.printable(problem)
     end
   end
-  return self, input.first_of(problems)
+  return self, problems
 end
 
 -- Return a name that a bus has together with others, nil for none.

@@ -2,8 +2,6 @@
 -- Finds the message type that an ID carries on a bus, and the name of its source, by the user's
 -- preferences.  Pure Lua.
 
-local text_of = require "yapp.message.text"
-
 local M = {}
 
 local NONE = {}
@@ -70,7 +68,7 @@ end
 
 -- Return the function that writes the values in Info, nil without a message type.
 local function write_of(of_type, hides_values)
-  return of_type and text_of.writer_of(hides_values and of_type.info_rest or of_type.info)
+  return of_type and (hides_values and of_type.info_rest or of_type.info)
 end
 
 -- Return the label of a message: its title and the name of its source.  Without a name, the ID or
