@@ -6,7 +6,7 @@
     capture.verdicts                    what each frame is, by frame number
     can_generator.PREFERENCES           the message IDs that the captures use
 
-The truth is a strict state machine for each bus, written from the protocol's document and the rules of this project,
+The truth is a strict state machine for each bus that the file tells apart, written from the protocol's document and the rules of this project,
 not from the plugin: tests/unit/can_oracle.lua.  A capture consists of situations, each with message IDs of its own, one
 after the other or mixed.
 """
@@ -118,7 +118,7 @@ class Verdict:
     members: list = dataclasses.field(default_factory=list)  # numbers of all frames of such a message
     reassembled_in: int | None = None
     padding: int = 0
-    blurred: bool = False  # where the bus is not told: a message that broke may still be waiting under this key
+    unsure: bool = False  # whether the search among its frames may be too long
 
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -127,16 +127,16 @@ KNOWN = {msg: SIZES[kind] for kind, default in DEFAULT_ID.items()
          for msg in (default, *range(FIRST_ID[kind], FIRST_ID[kind] + SLOTS))}
 
 
-def line_of(frame, accepts_all):
+def line_of(frame, accepts_all, is_merged):
     """A frame for the oracle."""
     can_id = frame.can_id if frame.kind == "extended" and frame.data else "-"
-    return f"{frame.bus} {can_id} {int(accepts_all)} {len(frame.data)} x{frame.kept.hex()}\n"
+    return f"{0 if is_merged else frame.bus} {can_id} {int(accepts_all)} {len(frame.data)} x{frame.kept.hex()}\n"
 
 
-def verdicts(frames, accepts_all):
-    """What each frame is, by its number, as the oracle says; buses are told apart."""
+def verdicts(frames, accepts_all, is_merged=False):
+    """What each frame is, by its number, as the oracle says; is_merged: nothing tells the buses apart."""
     known = " ".join(f"{msg}={size}" for msg, size in KNOWN.items())
-    asked = known + "\n" + "".join(line_of(frame, accepts_all) for frame in frames)
+    asked = known + "\n" + "".join(line_of(frame, accepts_all, is_merged) for frame in frames)
     said = subprocess.run([LUA, ROOT / "tests/unit/can_verdicts.lua", ROOT], input=asked, capture_output=True, text=True,
                           check=True).stdout.splitlines()
     assert len(said) == len(frames)
@@ -144,10 +144,10 @@ def verdicts(frames, accepts_all):
 
 
 def verdict_of(number, frames, said):
-    what, anomalies, in_number, members, padding, may_mix = said
+    what, anomalies, in_number, members, padding, is_unsure = said
     frame = frames[number - 1]
     ctrl, kind = frame.can_id >> 14 & 15, kind_of(frame.can_id >> 18)
-    verdict = Verdict(blurred=may_mix == "1")
+    verdict = Verdict(unsure=is_unsure == "1")
     if what == "-":
         return verdict
     verdict.ours, verdict.ctrl = True, ctrl
@@ -427,49 +427,12 @@ MERGED = {"merged", "merged interface"}
 INTERFACES = {"interfaces": 2, "one interface": 1, "merged interface": 1}
 
 
-def payload_of(frames):
-    """The payload of a Start and what follows it; None where these make up no good message."""
-    if [frame.can_id >> 14 & 15 for frame in frames] != [START, *[MIDDLE] * (len(frames) - 2), END] or \
-            len({frame.can_id & ~(15 << 14) for frame in frames}) != 1:
-        return None
-    crc, size, reserved = struct.unpack("<IHH", frames[0].data[:8])
-    data, can_id = b"".join(frame.data for frame in frames[1:]), frames[0].can_id
-    payload = data[:size]
-    good = len(payload) == size and crc == message_crc(
-        can_id >> 18, can_id >> 8 & 63, can_id & 255, payload, reserved)
-    return payload if good and fits(frames[-1], size - len(data) + len(frames[-1].data)) is not None else None
-
-
 class Capture:
     """Frames, what they are, and the file they are written to."""
 
     def __init__(self, frames, layout, wide):
         self.frames, self.layout, self.wide = frames, layout, wide
-        self.verdicts = with_links(verdicts(frames, wide))
-        self.numbers_of, self.status_of = {}, {}
-        for number, frame in enumerate(frames, 1):
-            if frame.kind == "extended" and frame.can_id >> 14 & 15 in (START, MIDDLE, END):
-                self.numbers_of.setdefault(frame.can_id & ~(15 << 14), []).append(number)
-        for number, verdict in self.verdicts.items():
-            if verdict.members and verdict.members[-1] == number and self.asked_for(verdict.members):
-                self.status_of.update({member: verdict.status for member in verdict.members})
-
-    def asked_for(self, members):
-        """Whether the plugin must find this message where it does not know the bus: it keeps four messages of one key
-        open."""
-        return sum(self.frames[number - 1].can_id >> 14 & 15 == START for number in self.between(members)) <= 3
-
-    def calm(self, members):
-        """Whether no frame of a broken message with this key, or of one not asked for, came among its frames or shortly
-        before."""
-        numbers = self.numbers_of[self.frames[members[0] - 1].can_id & ~(15 << 14)]
-        end = numbers.index(members[-1]) + 1
-        return all(self.status_of.get(number) == 1 for number in numbers[max(0, end - 60):end])
-
-    def between(self, members):
-        """The frames with the key of a message that come while it is open."""
-        key = self.frames[members[0] - 1].can_id & ~(15 << 14)
-        return [number for number in self.numbers_of[key] if members[0] < number < members[-1]]
+        self.verdicts = with_links(verdicts(frames, wide, layout in MERGED))
 
     def without_remote_frames(self):
         """The same capture where nothing tells remote frames from data: a first pass of two knows neither fields nor

@@ -8,6 +8,7 @@ local crc = require("yapp.wire.crc")
 local M = {}
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local MAX_TRIES = 300 -- a longer search nobody need do
 local FD = { 8, 12, 16, 20, 24, 32, 48, 64 }
 M.KNOWN = { [0x000] = 7, [0x200] = 17, [0x210] = 32, [0x211] = 32 } -- sizes of known messages
 
@@ -44,81 +45,133 @@ local function padding(frame, needed)
   end
 end
 
--- The runs of equal chunks before the last one: list of { from, to }.
-local function runs_of(chunks)
-  local list, at = {}, 1
-  while at < #chunks do
-    local from = at
-    while at + 1 < #chunks and chunks[at + 1] == chunks[from] do at = at + 1 end
-    if at > from then list[#list + 1] = { from, at } end
-    at = at + 1
+local function bytes_of(frames)
+  local count = 0
+  for _, frame in ipairs(frames) do count = count + frame.reported end
+  return count
+end
+
+local function payload_of(message, frames)
+  local chunks = {}
+  for i, frame in ipairs(frames) do
+    chunks[i] = frame.data
+    if #frame.data < frame.reported then break end
+  end
+  return table.concat(chunks):sub(1, message.size)
+end
+
+-- The frames that a message may have: all that came since its Start and that no other has.
+local function frames_since(open, message)
+  local list = {}
+  for _, frame in ipairs(open.frames) do
+    if frame.number > message.start then list[#list + 1] = frame end
   end
   return list
 end
 
--- Frames that came twice: runs of frames alike, of which some fewer are the message; the first ones
--- stay.  Every choice is tried, most of the first run first.
--- needed   bytes of the last frame if none came twice
--- returns  { [index] = true } of those too many; padding
-local function repeated(message, frame, needed)
-  local chunks = message.chunks
-  local runs, out = runs_of(chunks), {}
-  local function try(index, rest_needed)
-    local run = runs[index]
-    if not run then
-      local rest, zeros = {}, padding(frame, rest_needed)
-      for i, chunk in ipairs(chunks) do
-        if not out[i] then rest[#rest + 1] = chunk end
+-- The first choice of frames, the last one among them, that is a good message.  Each may be left out
+-- if another Start came, else one that came twice.
+-- returns  the chosen frames and the padding of the last
+local function choose(self, message, frames, has_others)
+  local chosen = {}
+  local function try(first, needed)
+    for i = first, #frames do
+      local frame = frames[i]
+      if self.tries > MAX_TRIES or bytes_of({ unpack(frames, i) }) < needed then return nil end
+      chosen[#chosen + 1], self.tries = frame, self.tries + 1
+      if i == #frames then
+        local zeros = padding(frame, needed)
+        if zeros and is_good(message, payload_of(message, chosen)) then return zeros end
+      elseif frame.reported < needed and not frame.is_end then
+        local zeros = try(i + 1, needed - frame.reported)
+        if zeros then return zeros end
       end
-      return zeros and is_good(message, table.concat(rest):sub(1, message.size)) and zeros
-    end
-    for count = run[2] - run[1], 0, -1 do
-      for i = run[1] + 1, run[2] do out[i] = i > run[2] - count or nil end
-      local zeros = try(index + 1, rest_needed + count * #chunks[run[1]])
-      if zeros then return zeros end
+      chosen[#chosen] = nil
+      if not (has_others or frame.is_repeated) then return nil end
     end
   end
-  local zeros = try(1, needed)
-  if zeros then return out, zeros end
+  local zeros = try(1, message.size)
+  if zeros then return chosen, zeros end
 end
 
 -- A message has ended: its frames lead to the last one.
-local function show(verdicts, message, out, zeros)
-  local last, members = message.frames[#message.frames], { message.start }
-  for i, frame in ipairs(message.frames) do
-    if out[i] then
-      verdicts[frame].anomalies[1] = "fragment.duplicate"
-    else
-      members[#members + 1] = frame
-    end
-    verdicts[frame].in_number = last
+local function show(verdicts, message, frames, zeros)
+  local last, members = frames[#frames].number, { message.start }
+  for _, frame in ipairs(frames) do
+    members[#members + 1] = frame.number
+    verdicts[frame.number].in_number = last
   end
   verdicts[message.start].in_number = last
   verdicts[last].members, verdicts[last].padding = members, zeros
 end
 
--- What an End makes of its message.
-local function finish(verdicts, message, frame, say)
-  local at, excess = frame.number, message.received - message.size
-  local needed, out = frame.reported - excess, {}
-  local zeros = not message.status and padding(frame, needed)
-  local status = message.is_cut and "truncated" or "good"
-  if zeros then
-    local payload = table.concat(message.chunks):sub(1, message.size)
-    if not message.is_cut and not is_good(message, payload) then status = "bad" end
-  elseif not message.status and excess > 0 and not message.is_cut then
-    out, zeros = repeated(message, frame, needed)
-    out = out or {}
+local function remove(list, unwanted)
+  local is_unwanted, rest = {}, {}
+  for _, one in ipairs(unwanted) do is_unwanted[one] = true end
+  for _, one in ipairs(list) do
+    if not is_unwanted[one] then rest[#rest + 1] = one end
   end
-  if zeros then
-    say(at, status)
-    return show(verdicts, message, out, zeros)
+  return rest
+end
+
+-- Give up the oldest message, with the frames before the next Start.
+local function give_up_oldest(open, anomalies)
+  local message, own = table.remove(open.messages, 1), {}
+  local next_one = open.messages[1]
+  for _, frame in ipairs(frames_since(open, message)) do
+    if not next_one or frame.number < next_one.start then own[#own + 1] = frame end
   end
-  show(verdicts, message, {}, 0)
-  verdicts[at].members = nil
-  local is_short = excess < 0 and not message.status
-  say(at, is_short and "incomplete" or "overrun",
-    is_short and "fragment.incomplete" or "fragment.overrun")
+  open.frames = remove(open.frames, own)
+  if message.is_copy then return end
+  anomalies[#anomalies + 1] = bytes_of(own) > message.size and "fragment.overrun" or
+    "fragment.incomplete"
+end
+
+-- Remove a good message and its frames: whoever has an earlier Start was overtaken.  What lies in
+-- front of all open Starts is nobody's.
+local function remove_good(self, open, index, chosen, anomalies)
+  local message, frames = table.remove(open.messages, index), open.frames
+  for i = 1, index - 1 do open.messages[i].is_overtaken = true end
+  for _, other in ipairs(open.messages) do
+    local is_near = math.abs(message.time - other.time) < 0.02
+    if is_near and other.crc == message.crc and other.size == message.size then other.is_copy = true end
+  end
+  local rest, is_stranger = {}, false
+  for _, frame in ipairs(remove(frames, chosen)) do
+    if open.messages[1] and frame.number > open.messages[1].start then
+      rest[#rest + 1] = frame
+    elseif frame.is_repeated then
+      local verdict = self.verdicts[frame.number]
+      verdict.anomalies[#verdict.anomalies + 1] = "fragment.duplicate"
+      verdict.in_number = chosen[#chosen].number
+    else
+      is_stranger = true
+    end
+  end
+  if is_stranger then anomalies[#anomalies + 1] = "fragment.orphan" end
+  open.frames = rest
+  return message
+end
+
+-- The newest message has all frames since its Start.
+local function end_newest(self, open, anomalies)
+  local message = open.messages[1]
+  local frames = frames_since(open, message)
+  local last, received, is_truncated = frames[#frames], bytes_of(frames), false
+  for _, frame in ipairs(frames) do is_truncated = is_truncated or #frame.data < frame.reported end
+  local zeros = padding(last, message.size - received + last.reported)
+  local what = "bad"
+  if not zeros then
+    what = received > message.size and "overrun" or "incomplete"
+    if not message.is_copy then anomalies[#anomalies + 1] = "fragment." .. what end
+  elseif is_truncated then
+    what = "truncated"
+  elseif is_good(message, payload_of(message, frames)) then
+    what = "good"
+  end
+  show(self.verdicts, message, frames, zeros or 0)
+  if not zeros then self.verdicts[last.number].members = nil end
+  return what
 end
 
 local function take_start(self, slot, frame, id, say)
@@ -128,11 +181,13 @@ local function take_start(self, slot, frame, id, say)
     reserved == 0 and size > 8 and (known or id.seq == 0 or self.accepted[id.id]))
   if not (frame.accepts_all or is_plausible) then return end
   self.accepted[id.id] = true
-  local before, anomalies = self.open[slot], {}
-  if before and not before.status then anomalies[1] = "fragment.incomplete" end
-  self.broken[slot] = before and 4 or math.max((self.broken[slot] or 0) - 1, 0)
-  self.verdicts[frame.number].may_mix = self.verdicts[frame.number].may_mix or before ~= nil
-  self.open[slot] = nil
+  local open, anomalies, is_message = self.open[slot], {}, reserved and size > 0
+  while open and open.messages[1] and (not is_message or open.is_truncated or #open.messages == 4 or
+    open.messages[1].is_overtaken or open.messages[1].is_copy) do
+    give_up_oldest(open, anomalies)
+  end
+  if open and not open.messages[1] then open = nil end
+  self.open[slot] = open
   if frame.reported ~= 8 then
     anomalies[#anomalies + 1] = frame.reported > 8 and "size.mismatch" or "fragment.incomplete"
   end
@@ -140,83 +195,118 @@ local function take_start(self, slot, frame, id, say)
     if size == 0 or known and size ~= known then anomalies[#anomalies + 1] = "size.mismatch" end
     if reserved ~= 0 then anomalies[#anomalies + 1] = "reserved.nonzero" end
   end
-  local is_message = reserved and size > 0
   say(frame.number, is_message and "." or "start", unpack(anomalies))
   if not is_message then return end
-  self.open[slot] = { id = id.id, seq = id.seq, ctl = id.ctl, crc = number(data, 1, 4), size = size,
-    reserved = reserved, start = frame.number,
-    chunks = {}, frames = {}, received = 0, alike = 0 }
+  if open then open.has_others = true end
+  self.open[slot] = open or { has_others = false, messages = {}, frames = {}, is_truncated = false, is_unsure = false }
+  table.insert(self.open[slot].messages, { id = id.id, seq = id.seq, ctl = id.ctl,
+    crc = number(data, 1, 4), size = size, reserved = reserved, start = frame.number, time = self.time })
+end
+
+-- Whether an End came twice: the message before it ended like that.
+local function is_repeated_end(self, slot, frame, id)
+  local last = id.ctrl == 3 and self.ended[slot]
+  if not last or math.abs(self.time - last.time) >= 0.02 then return false end
+  local length = frame.reported - last.padding
+  return length > 0 and frame.data:sub(1, length) == last.data:sub(1, length) and
+    length == #last.data - last.padding
 end
 
 local function take_fragment(self, slot, frame, id, say)
-  local message, is_end = self.open[slot], id.ctrl == 3
-  if not message then
+  local open, anomalies = self.open[slot], {}
+  if not open then
     if frame.accepts_all or id.ctl == 0 and self.known[id.id] then
-      say(frame.number, "orphan", "fragment.orphan")
+      local is_repeated = is_repeated_end(self, slot, frame, id)
+      say(frame.number, "orphan", is_repeated and "fragment.duplicate" or "fragment.orphan")
     end
     return
   end
-  local chunks = message.chunks
-  message.received = message.received + frame.reported
-  message.frames[#message.frames + 1] = frame.number
-  if not message.is_cut then
-    if frame.data == chunks[#chunks] then message.alike = message.alike + frame.reported end
-    chunks[#chunks + 1] = frame.data
-    message.is_cut = #frame.data < frame.reported
-  end
+  local frames, messages, is_end = open.frames, open.messages, id.ctrl == 3
+  local before, newest = frames[#frames], messages[#messages]
+  if not open.has_others then newest.time = self.time end
+  frames[#frames + 1] = { number = frame.number, data = frame.data, reported = frame.reported,
+    is_end = is_end, is_repeated = before ~= nil and before.data == frame.data }
+  open.is_truncated = open.is_truncated or #frame.data < frame.reported
+  while open.is_truncated and messages[2] do give_up_oldest(open, anomalies) end
+  local what = "."
   if is_end then
-    self.open[slot] = nil
-    finish(self.verdicts, message, frame, say)
-    local what = self.verdicts[frame.number].what
-    if what ~= "good" and what ~= "truncated" then self.broken[slot] = 4 end
-    return
+    -- A single message whose bytes add up is what it is.
+    local fits = not messages[2] and padding(frame, newest.size - bytes_of(frames_since(open, newest)) +
+      frame.reported)
+    local index, chosen, zeros = 0, nil, nil
+    local all = frames_since(open, newest)
+    local rest = padding(frame, newest.size - bytes_of(all) + frame.reported)
+    if rest and not open.is_truncated and is_good(newest, payload_of(newest, all)) then
+      index, chosen, zeros = #messages, all, rest
+    end
+    while index < #messages and not (fits or open.is_truncated or chosen) do
+      index, self.tries = index + 1, 0
+      chosen, zeros = choose(self, messages[index], frames_since(open, messages[index]), open.has_others)
+      open.is_unsure = open.is_unsure or self.tries > MAX_TRIES
+    end
+    local ends = 0
+    for _, one in ipairs(open.frames) do ends = ends + (one.is_end and 1 or 0) end
+    if chosen then
+      what = "good"
+      local message = remove_good(self, open, index, chosen, anomalies)
+      show(self.verdicts, message, chosen, zeros)
+    elseif ends >= #messages then
+      while messages[2] do give_up_oldest(open, anomalies) end
+      what = end_newest(self, open, anomalies)
+      open.messages = {}
+    end
+    if what == "good" then
+      self.ended[slot] = { data = frame.data, time = self.time,
+        padding = self.verdicts[frame.number].padding }
+    end
+  else
+    local limit = 4096
+    for _, message in ipairs(messages) do limit = limit + message.size end
+    if bytes_of(open.frames) > limit then
+      while messages[1] do give_up_oldest(open, anomalies) end
+    end
   end
-  local too_many = message.received - message.size
-  if message.status or too_many > 0 and too_many > message.alike then
-    message.status = "overrun"
-    return say(frame.number, ".", "fragment.overrun")
-  end
-  say(frame.number, ".")
+  if not open.messages[1] then self.open[slot] = nil end
+  self.verdicts[frame.number].is_unsure = open.is_unsure
+  say(frame.number, what, unpack(anomalies))
 end
 
 --- What each frame is.
 -- frames   list of { can_id =, data = captured bytes, reported = length, bus =, accepts_all =,
---          number = from 1 on }; can_id is nil of one that is no extended data frame
+--          number = from 1 on, time = seconds, its number if left out }; can_id is nil of one that is
+--          no extended data frame
 -- known    { [message ID] = size }; KNOWN if left out
 -- returns  list of { what = in the words of can_words, anomalies = list, text = of both; in_number =
 --          of the frame that shows its message; at the last frame of a message with all its bytes
---          members = numbers of its frames, padding; may_mix = whether a broken message may still wait
---          for frames of this key }
+--          members = numbers of its frames, padding; is_unsure = whether the search among its frames
+--          is so long that nobody need do it }
 function M.verdicts(frames, known)
-  local self = { open = {}, accepted = {}, broken = {}, verdicts = {}, known = known or M.KNOWN }
+  local self = { open = {}, ended = {}, accepted = {}, verdicts = {}, known = known or M.KNOWN }
   local verdicts = self.verdicts
   local function say(at, what, ...)
-    verdicts[at].what, verdicts[at].anomalies = what, { ... }
+    verdicts[at].what = what
+    for _, anomaly in ipairs({ ... }) do table.insert(verdicts[at].anomalies, anomaly) end
   end
   for at, frame in ipairs(frames) do
-    verdicts[at] = { what = "-", anomalies = {}, may_mix = false }
+    verdicts[at] = { what = "-", anomalies = {}, is_unsure = false }
+    self.time = frame.time or frame.number
     local rest = frame.can_id or 0
     local id = { seq = rest % 256, ctl = math.floor(rest / 256) % 64,
       ctrl = math.floor(rest / 2 ^ 14) % 16, id = math.floor(rest / 2 ^ 18) }
     local slot = table.concat({ frame.bus or 0, id.id, id.ctl, id.seq }, " ")
-    verdicts[at].may_mix = (self.broken[slot] or 0) > 0
     local size = self.known[id.id]
-    if not frame.can_id then
-      verdicts[at].may_mix = false
-    elseif id.ctrl == 0 then
+    if frame.can_id and id.ctrl == 0 then
       verdicts[at].padding = size and padding(frame, size)
       if frame.accepts_all or id.ctl == 0 and verdicts[at].padding then say(at, "single") end
-    elseif id.ctrl == 1 then
+    elseif frame.can_id and id.ctrl == 1 then
       take_start(self, slot, frame, id, say)
-    elseif id.ctrl < 4 then
+    elseif frame.can_id and id.ctrl < 4 then
       take_fragment(self, slot, frame, id, say)
-    elseif frame.accepts_all then
+    elseif frame.can_id and frame.accepts_all then
       say(at, "invalid", "can.ctrl.invalid")
     end
   end
   for _, verdict in ipairs(verdicts) do
-    -- A fragment of a message that does not end may turn out to be another's.
-    verdict.may_mix = verdict.may_mix or verdict.what == "." and not verdict.in_number
     table.sort(verdict.anomalies)
     verdict.text = table.concat({ verdict.what, unpack(verdict.anomalies) }, "+")
   end

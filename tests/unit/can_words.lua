@@ -88,9 +88,7 @@ function M.visit(known, frame, visited)
   local found = { message = message, anomalies = anomalies or {}, index = index }
   if kind == "last" then
     found.payload = message.payload
-    if not visited and not frame.is_only_pass then
-      known.reassembly:keep(message, M.has_fault(message.payload))
-    end
+    if not visited and M.has_fault(message.payload) then reassembly.mark_fault(message) end
   end
   if message and message.payload and #message > 1 then found.in_number = frame_key.number(message[#message]) end
   local names = {}

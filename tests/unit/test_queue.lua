@@ -150,12 +150,8 @@ function T.test_messages_that_do_not_wait()
   lu.assertFalse(compare:begin_direct()) -- its spreads need the steps of the capture's clock
   queue:packet(1, 1)
   offer(queue, 2, "b")
-  offer(queue, 2, "c", { anomaly = {}, shown = {} })
-  offer(queue, 3, "d", { anomaly = { is_withdrawn = true } })
-  offer(queue, 3, "e")
-  lu.assertEquals(one.got, { "a", "b", "e" })
+  lu.assertEquals(one.got, { "a", "b" })
   lu.assertEquals(finish(queue), { 0, {} })
-  lu.assertEquals(one.got, { "a", "b", "e", "c" })
   local other = notes()
   other.wants_messages_only = true
   add(queue, other, "filter")
@@ -163,38 +159,6 @@ function T.test_messages_that_do_not_wait()
   queue = new_queue()
   add(queue, notes())
   lu.assertFalse(queue:begin_direct())
-end
-
--- What is lost is sure at the end only; a lost message counts once, at the first frame that shows it.
-function T.test_losses()
-  local queue, one = new_queue(), notes()
-  add(queue, one)
-  local message, other = {}, {}
-  local rows = { { "a" },
-    { "b", { is_withdrawn = true }, message }, { "c", {}, message }, { "d" }, { "e", {}, message },
-    { "f", {}, other }, { "g", {} }, { "h", {} }, { "i", { is_open = true } } } -- the last is sure at the end
-  for frame, row in ipairs(rows) do
-    local values = row[2] and { shown = { what = "incomplete" }, anomaly = row[2], lost = row[3] }
-    queue:offer(event_of(frame, row[1], row[2] and "incomplete", values), false)
-    queue:packet(frame, frame)
-  end
-  lu.assertEquals(finish(queue), { 0, {} })
-  lu.assertEquals(one.got, { "a", "d", "c", "f", "g", "h", "i" })
-end
-
--- Losses that are sure do not wait for the end, which would cost memory for each.
-function T.test_many_losses()
-  local queue, one, open = new_queue(), notes(), { is_open = true }
-  add(queue, one)
-  for frame = 1, 5000 do
-    local values = { shown = {}, anomaly = frame == 7 and open or {} }
-    queue:offer(event_of(frame, frame, "incomplete", values), false)
-    queue:packet(frame, frame)
-  end
-  lu.assertTrue(#one.got > 2000)
-  open.is_withdrawn = true
-  lu.assertEquals(finish(queue), { 0, {} })
-  lu.assertEquals({ #one.got, one.got[7] }, { 4999, 8 })
 end
 
 function T.test_an_unreliable_history()

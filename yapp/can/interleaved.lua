@@ -1,325 +1,177 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The frames of a slot that do not make up its message in the usual way.  Pure Lua.
+-- Messages of one slot that are open at the same time.  Pure Lua.
 --
--- They are pooled
---   when a Start comes while a message is open: it may supersede that, or come from another bus;
---   when a message is too long, but has frames that came twice.
--- An End looks for the frames that, with it, make up one of the open messages: its size and its CRC
--- decide.  Each frame adds credit, which limits the steps of the search.  If the pool has more
--- bytes than its open messages can use, all of them are given up.
+-- A Start may come while a message is open: the message lost its End, the recorder holds the Start
+-- twice, or the frames are of two buses that nothing tells apart.  A message may also have more
+-- bytes than its size, as frames of it came twice.  In each case the CRC decides which Middles
+-- belong to an End:
+--
+--   a1 b1 a2 b2 a3 b3 bE   Starts a1 and b1: a1 with any of a2 b2 a3 b3 and bE is not good,
+--                          b1 with b2 b3 bE is
 
 local can_id = require "yapp.wire.can_id"
 local crc = require "yapp.wire.crc"
-local frame_key = require "yapp.base.frame_key"
 
 local M = {}
 
-local MAX_SUPERSEDED = 3 -- a message that more Starts than this superseded is given up
-local MAX_WASTE = 4096   -- bytes in the pool beyond those that its messages can use
-local CREDIT_PER_FRAME, MAX_CREDIT = 32, 4096 -- steps of the search
+local MAX_STEPS = 500 -- of the search of one message at one End
+local MAX_WASTE = 4096 -- bytes beyond those that the open messages can use
 
-local Pool = {}
-Pool.__index = Pool
+local Group = {}
+Group.__index = Group
 
--- Withdraw an anomaly: a later frame has proved that nothing is wrong.
-local function withdraw(anomaly)
-  anomaly.is_withdrawn, anomaly.is_open = true, false
-end
-
--- Add a Middle or End.
-local function add_frame(self, frame)
-  table.insert(self.frames, frame)
-  table.insert(self.keys, frame.key)
-  frame.from, self.bytes = self.bytes, self.bytes + frame.length
-end
-
-local function new_frame(key, data, length, is_end)
-  return {
-    key = key,
-    data = data,
-    length = length, -- on the bus
-    from = 0, -- number of bytes of the frames before it
-    is_end = is_end,
-    is_taken = false, -- by a good message
-    orphan = nil, -- its anomaly
-  }
-end
-
---- Open the message of a Start.
--- is_retry  true if its last fragment was shown as that of a broken message
-function Pool:open_message(message, is_retry)
-  message.chunks = nil
-  table.insert(self.open, {
-    message = message,
-    start = self.starts, -- of the pool when it was opened
-    anomaly = nil, -- that it is superseded: withdrawn if it turns out good
-    is_retry = is_retry,
-  })
-end
-
---- Make the pool of a message that is open.
--- reassembly  a can.reassembly, which gets the anomalies
+--- Make the group of a message that is open.
 -- fields      of the CAN ids (wire.can_id)
-function M.new(reassembly, message, fields)
+-- message     with chunks, see can.reassembly
+-- has_others  true if another Start came: else each frame is of the message, or came twice
+function M.new(fields, message, has_others)
   local self = setmetatable({
-    reassembly = reassembly,
-    can_id = fields,
-    open = {}, -- see open_message; oldest Start first
-    frames = {}, -- see new_frame: those that no good message has taken
-    keys = {}, -- of the frames
+    fields = fields,
+    has_others = has_others,
+    messages = { message }, -- open ones, oldest Start first
+    frames = {}, -- { key, data, is_end, is_repeated, from = number of bytes before it }
     bytes = 0, -- of the frames
-    time = 0, -- of the newest frame
-    starts = 0, -- number of Starts that superseded others
-    credit = MAX_CREDIT,
-    reserve = 0, -- credit to leave for other messages: of 400, with 4 open, the first may use 100
-  }, Pool)
-  for i, data in ipairs(message.chunks) do
-    add_frame(self, new_frame(message[i + 1], data, #data, false))
-  end
-  self:open_message(message)
+    end_count = 0, -- of the frames: how many are Ends
+    steps = 0, -- that the search may still take
+  }, Group)
+  for i, data in ipairs(message.chunks) do self:add_frame(message[i + 1], data, false) end
+  message.chunks = nil
   return self
 end
 
---- Return the open messages, oldest Start first.
-function Pool:messages()
-  local list = {}
-  for i, candidate in ipairs(self.open) do list[i] = candidate.message end
-  return list
+--- Add a Middle or End.
+function Group:add_frame(key, data, is_end)
+  local frames = self.frames
+  local before = frames[#frames]
+  frames[#frames + 1] = {
+    key = key,
+    data = data,
+    is_end = is_end,
+    is_repeated = before ~= nil and before.data == data, -- it equals the frame before it
+    from = self.bytes,
+  }
+  self.bytes = self.bytes + #data
+  if is_end then self.end_count = self.end_count + 1 end
 end
 
--- Return the index of the first frame behind a Start.
-local function first_behind(self, message)
-  return frame_key.last_until(self.keys, message[1]) + 1
-end
-
---- Return the number of bytes that came since the Start of a message.
-function Pool:received(message)
-  local frame = self.frames[first_behind(self, message)]
-  return frame and self.bytes - frame.from or 0
-end
-
--- Drop the frames that a good message has taken, and those in front of all open messages.
-local function drop_frames(self)
-  local frames, oldest = self.frames, self.open[1]
-  local first = oldest and first_behind(self, oldest.message) or #frames + 1
-  self.frames, self.keys, self.bytes = {}, {}, 0
-  for i, frame in ipairs(frames) do
-    if i >= first and not frame.is_taken then
-      add_frame(self, frame)
-    elseif frame.orphan then
-      frame.orphan.is_open = false
-    end
-  end
-end
-
-local function give_up(self, candidate)
-  if candidate.anomaly then candidate.anomaly.is_open = false end
-  if not candidate.is_retry then self.reassembly:give_up(candidate.message) end
-end
-
---- Supersede the open messages by a new Start; give up the messages that are too old.
--- anomaly  that of the newest message, or nil
--- returns  true if any is left
-function Pool:supersede(anomaly)
-  local open = self.open
-  local newest = open[#open]
-  newest.message.status = "superseded"
-  if anomaly then newest.anomaly, anomaly.is_open = anomaly, true end
-  self.starts = self.starts + 1
-  if self.starts - open[1].start > MAX_SUPERSEDED then give_up(self, table.remove(open, 1)) end
-  drop_frames(self)
-  return self.open[1] ~= nil
-end
-
--- Return whether the newest frame ends the message that the frames of a goal begin.  The CRC
--- decides; where bytes are truncated, it needs all frames.
--- needed  bytes that the frame should have
-local function is_end_of(goal, frame, register, needed)
-  local data, length = frame.data, frame.length
-  goal.padding = can_id.padding(data, length, needed)
-  if not goal.padding then return false end
-  if not register or #data < length then return goal.takes_all end
-  return crc.update(register, data, 1, needed) == goal.crc
-end
-
--- Return whether a message may do without a frame: if no Start superseded another, without one
--- that came twice.
-local function may_leave_out(self, goal, index)
-  local before = self.frames[index - 1]
-  local is_repeated = before and before.data == self.frames[index].data
-  return not goal.takes_all and (self.starts > 0 or is_repeated)
-end
-
--- Search depth first over the frames from `first` on; the newest frame has to be the last taken.
--- goal      { crc = as sent, frames = those that are taken so far, takes_all = true if none may be
---           left out, padding = found }
--- register  of the CRC; false behind a truncated frame
--- returns   true if these are a complete message
-local function search(self, goal, first, register, needed)
-  local last, count = #self.frames, #goal.frames
-  for i = first, last do
-    local frame = self.frames[i]
-    local data, length = frame.data, frame.length
-    self.credit = self.credit - 1
-    if self.credit < self.reserve or self.bytes - frame.from < needed then return false end
-    goal.frames[count + 1] = frame
-    if i == last then return is_end_of(goal, frame, register, needed) end
-    if length < needed and not frame.is_end then
-      local next_register = register and #data == length and crc.update(register, data)
-      if search(self, goal, i + 1, next_register, needed - length) then return true end
-    end
-    for k = #goal.frames, count + 1, -1 do goal.frames[k] = nil end
-    if not may_leave_out(self, goal, i) then return false end
-  end
-end
-
--- Assign frames to a message.  Return its payload, which ends with the first truncated frame, and
--- whether there is such a frame.
-local function assign_frames(message, frames)
-  local chunks, is_truncated = {}, false
-  for i = #message, 2, -1 do message[i] = nil end
-  for i, frame in ipairs(frames) do
-    message[i + 1] = frame.key
-    if not is_truncated then chunks[i] = frame.data end
-    is_truncated = is_truncated or #frame.data < frame.length
-    if frame.orphan then withdraw(frame.orphan) end
-  end
-  return table.concat(chunks), is_truncated
-end
-
-local function have_same_start(a, b)
-  return a.crc == b.crc and a.size == b.size
-end
-
--- A recorder may hold the Start of a good message twice: it opened others, which are not lost.
-local function forgive_copies(self, message)
-  for _, candidate in ipairs(self.open) do
-    local other = candidate.message
-    if have_same_start(other, message) and self.reassembly:is_near(message.time, other.time) then
-      other.status = "superseded"
-    end
-  end
-end
-
--- Keep the duplicates: frames that a message was good without.
-local function keep_duplicates(self)
-  local original
-  for _, frame in ipairs(self.frames) do
-    if frame.is_taken then
-      original = frame
-    else
-      self.reassembly:keep_duplicate(frame.key, self.can_id.message_key, original.key)
-    end
-  end
-end
-
--- End an open message with these frames: with a status if it is known, else the CRC decides.
--- index    of its candidate
--- returns  the message
-local function finish_candidate(self, index, frames, padding, status)
-  local candidate = table.remove(self.open, index)
-  local message = candidate.message
-  message.time = self.time
-  local payload, is_truncated = assign_frames(message, frames)
-  if is_truncated then status = status or "truncated" end
-  self.reassembly:finish(message, self.can_id, payload, padding, status)
-  if message.status == "good" then -- else its frames may still be another's
-    for _, frame in ipairs(frames) do frame.is_taken = true end
-    if candidate.anomaly then withdraw(candidate.anomaly) end
-    forgive_copies(self, message)
-    if self.starts == 0 then keep_duplicates(self) end
-  end
-  drop_frames(self)
-  return message
-end
-
--- End the message that an End completes: the newest with all frames that came since its Start,
--- else, oldest first, whichever fits.
--- returns  the message; nil if it completes none
-local function complete(self)
-  local open = self.open
-  for k = 0, #open do
-    local i = k == 0 and #open or k
-    local message, before = open[i].message, open[k - 1]
-    local first, size = first_behind(self, message), message.size
-    local goal = { crc = message.crc, frames = {}, takes_all = k == 0 }
-    -- Let each message use its share of the credit: the oldest is usually broken, and searches most
-    -- frames.
-    self.reserve = self.credit * (1 - 1 / (#open - k + 1))
-    local seed = can_id.seed(self.can_id, size, message.reserved)
-    -- Frames that do not complete a message complete no copy of it either.
-    if not (before and have_same_start(before.message, message)) and
-      search(self, goal, first, seed, size) then
-      return finish_candidate(self, i, goal.frames, goal.padding)
-    end
-  end
-end
-
--- An End that completes no message seems to end the newest.  But the End may be of another bus.  So
--- if other messages are open, a copy of the newest stays open for later frames.
-local function end_newest(self, last)
-  local index, frames, status = #self.open, {}, nil
-  local message = self.open[index].message
-  if index > 1 then
-    local copy = { status = "superseded" }
-    for name, value in pairs(message) do copy[name] = value end
-    self:open_message(copy, true)
-  end
-  local received = self:received(message)
-  local padding = can_id.padding(last.data, last.length, message.size - received + last.length)
-  if not padding then status = self.reassembly:add_misfit(message, received) end
-  for i = first_behind(self, message), #self.frames do frames[#frames + 1] = self.frames[i] end
-  finish_candidate(self, index, frames, padding, status)
-end
-
--- Return whether the pool has more bytes than all open messages can use: then none of them will be
--- good.
-local function is_full(self)
+--- Return whether there are more bytes than the open messages can use.
+function Group:is_full()
   local limit = MAX_WASTE
-  for _, candidate in ipairs(self.open) do limit = limit + candidate.message.size end
+  for _, message in ipairs(self.messages) do limit = limit + message.size end
   return self.bytes > limit
 end
 
---- Forget the newest packet, see frame_key.forget.
--- key    of a frame of the next packet
--- other  a message in which the store forgets it
-function Pool:forget(key, other)
-  local number = frame_key.number(key)
-  frame_key.forget(self.keys, number)
-  for i, frame in ipairs(self.frames) do frame.key = self.keys[i] end
-  for _, candidate in ipairs(self.open) do
-    if candidate.message ~= other then frame_key.forget(candidate.message, number) end
+-- Keep these frames alone.
+local function set_frames(self, frames)
+  self.frames, self.bytes, self.end_count = frames, 0, 0
+  for _, frame in ipairs(frames) do
+    frame.from, self.bytes = self.bytes, self.bytes + #frame.data
+    if frame.is_end then self.end_count = self.end_count + 1 end
   end
 end
 
---- Add a Middle or End.
--- returns  as Reassembly:add
-function Pool:add_fragment(frame)
-  local newest, kind = self.open[#self.open].message, "fragment"
-  local is_end = frame.can_id.ctrl == can_id.END
-  local pooled = new_frame(frame.key, frame.data, frame.reported, is_end)
-  add_frame(self, pooled)
-  self.time = frame.time
-  self.credit = math.min(math.max(self.credit, 0) + CREDIT_PER_FRAME, MAX_CREDIT)
-  local completed = is_end and complete(self)
-  if completed then return "last", completed end
-  if newest.status then
-    kind, pooled.orphan = "other", self.reassembly:add_orphan(frame)
-    pooled.orphan.is_open = true
-  else
-    newest[#newest + 1], newest.time = frame.key, frame.time -- as it seems
-    if is_end then
-      end_newest(self, pooled)
-      kind = "last"
+--- Remove the oldest message.
+-- returns  the message, the frames between its Start and the next one that is open, and the number
+--          of their bytes
+function Group:remove_oldest()
+  local message, own, rest, received = table.remove(self.messages, 1), {}, {}, 0
+  local next_key = self.messages[1] and self.messages[1][1] or math.huge
+  for _, frame in ipairs(self.frames) do
+    if frame.key < next_key then
+      own[#own + 1], received = frame, received + #frame.data
+    else
+      rest[#rest + 1] = frame
     end
   end
-  if is_full(self) then
-    if kind == "fragment" then self.reassembly:add_misfit(newest, self.bytes) end
-    for _, candidate in ipairs(self.open) do give_up(self, candidate) end
-    self.open = {}
-    drop_frames(self)
+  set_frames(self, rest)
+  return message, own, received
+end
+
+-- Search depth first for frames that, with the newest one, are the rest of a message.
+-- taken     the frames that are taken so far
+-- first     index of the first frame that may be the next
+-- register  of the CRC behind those that are taken
+-- needed    bytes of the message behind them
+-- returns   number of bytes of padding; nil if no frames fit
+local function search(self, message, taken, first, register, needed)
+  local frames, depth, failed = self.frames, #taken + 1, nil
+  for i = first, #frames do
+    local frame = frames[i]
+    local data = frame.data
+    self.steps = self.steps - 1
+    if self.steps < 0 or self.bytes - frame.from < needed then return nil end
+    local padding = nil
+    taken[depth] = frame
+    if i == #frames then
+      padding = can_id.padding(data, #data, needed)
+      if padding and crc.update(register, data, 1, needed) ~= message.crc then padding = nil end
+    elseif #data < needed and not frame.is_end and data ~= failed then
+      local next_register = crc.update(register, data)
+      padding = search(self, message, taken, i + 1, next_register, needed - #data)
+      failed = data
+    end
+    if padding then return padding end
+    taken[depth] = nil
+    if not (self.has_others or frame.is_repeated) then return nil end
   end
-  return kind, kind ~= "other" and newest or nil
+end
+
+-- Remove a good message and its frames.
+-- returns  the frames in front of all Starts that are still open
+local function remove_good(self, index, taken)
+  local is_taken, front, rest = {}, {}, {}
+  table.remove(self.messages, index)
+  local oldest = self.messages[1]
+  for _, frame in ipairs(taken) do is_taken[frame] = true end
+  for _, frame in ipairs(self.frames) do
+    if not is_taken[frame] then
+      local list = oldest and frame.key >= oldest[1] and rest or front
+      list[#list + 1] = frame
+    end
+  end
+  set_frames(self, rest)
+  return front
+end
+
+-- Return the frames since the Start of a message if all of them are the rest of it, and the bytes
+-- of padding; else nil.
+-- first  index of the first of them
+local function take_all(self, message, first)
+  local frames, taken, chunks = self.frames, {}, {}
+  for i = first, #frames do
+    local count = #taken + 1
+    taken[count], chunks[count] = frames[i], frames[i].data
+  end
+  local payload, last = table.concat(chunks), chunks[#chunks]
+  local padding = can_id.padding(last, #last, message.size - #payload + #last)
+  if not padding then return nil end
+  local sum = can_id.crc(self.fields, payload:sub(1, message.size), message.reserved)
+  if sum == message.crc then return taken, padding end
+end
+
+--- Find the message that the newest frame, an End, completes: the newest one with all frames since
+-- its Start, else the oldest one that has a good CRC.  It overtakes those with an earlier Start.
+-- returns  the message, its frames, the bytes of padding, and the frames that no message can have
+--          any more; nil if the End completes none
+function Group:complete()
+  local messages, frames = self.messages, self.frames
+  local count = #messages
+  for attempt = 0, count do
+    local index = attempt == 0 and count or attempt
+    local message, taken, first, padding = messages[index], {}, 1
+    while frames[first].key < message[1] do first = first + 1 end
+    if attempt == 0 then
+      taken, padding = take_all(self, message, first)
+    else
+      self.steps = MAX_STEPS
+      local seed = can_id.seed(self.fields, message.size, message.reserved)
+      padding = search(self, message, taken, first, seed, message.size)
+    end
+    if padding then
+      for i = 1, index - 1 do messages[i].is_overtaken = true end
+      return message, taken, padding, remove_good(self, index, taken)
+    end
+  end
 end
 
 return M

@@ -2,28 +2,26 @@
 -- Reassembly: finds the CAN frames of YAPP, and makes messages of their Start, Middle and End
 -- fragments ("Multi-Frame CAN YAPP").  Pure Lua.
 --
--- A slot is ID, CTL and Seq on one bus: usually one message at a time is open there.  A message of
--- several frames is
+-- A slot is ID, CTL and Seq on one bus: usually one message at a time is open there, else
+-- can.interleaved has several.  A message is reported once, by the frame that decides it.  Its
+-- record is
 --   1 .. n     frame keys of its fragments (base.frame_key)
---   slot, source; time = of its latest frame
---   size, crc, reserved (nil for 0)  as its Start says.  The stored record of a good message may
---              lack its crc and its time
---   chunks     while it is open and in no pool of can.interleaved: the bytes of the fragments
---              behind the Start, none of an overrun; received = their sum; repeated = bytes of
---              chunks that equal the one before, or nil; is_truncated = true if the payload goes on
---              behind the chunks: it is truncated by the capture, or too long
---   status     nil while it is open, but "overrun" if it is too long already, and "superseded" if a
---              pool keeps it open behind a new Start; then "good", "bad" (CRC), "incomplete",
---              "overrun", "truncated" (by the capture), or "superseded" by a new Start or given up
+--   slot, source; time = of its latest frame that came while it alone was open
+--   size, crc, reserved (nil for 0)  as its Start says
+--   chunks     while it alone is open in its slot: the bytes of the fragments behind the Start, up
+--              to the first that the capture truncated; received = number of bytes on the bus;
+--              is_truncated
+--   status     nil while it is open; then "good", "bad" (CRC), "incomplete", "overrun" or
+--              "truncated" (by the capture)
 --   payload    once its last fragment has come
 --   padding    of CAN FD, nil for 0
 --   received   bytes, of an incomplete or overrun message; calculated = CRC, of a bad one
---   has_fault  of a stored one, as Reassembly:keep was told
+--   has_fault  see mark_fault
+--   is_overtaken, is_copy  see can.interleaved and mark_copies
 
 local can_id = require "yapp.wire.can_id"
 local frame_key = require "yapp.base.frame_key"
 local interleaved = require "yapp.can.interleaved"
-local store = require "yapp.can.store"
 
 local M = {}
 
@@ -31,12 +29,19 @@ local concat = table.concat
 local END = can_id.END
 
 local MAX_OPEN = 1024 -- an open message costs memory until something ends it
+local MAX_IN_SLOT = 4 -- open messages of one slot
+local MAX_WASTE = 4096 -- bytes behind the size of a message that does not end
 local MAX_DISTANCE = 0.02 -- seconds between a frame and its copy, as of reading.copies
 
-local MISFIT = { -- by status
-  incomplete = "The message that started in frame %d ends with %d of %d bytes",
+local LOSSES = { -- by status
+  incomplete = "The message that started in frame %d is incomplete: %d of %d bytes came",
   overrun = "The message that started in frame %d has %d bytes instead of %d",
 }
+local DUPLICATE = {
+  expert = "fragment.duplicate",
+  text = "Duplicate of a fragment before it: the CRC is good without it",
+}
+local DUPLICATES = { DUPLICATE }
 
 local Reassembly = {}
 Reassembly.__index = Reassembly
@@ -48,180 +53,220 @@ function M.new(can_judge, on_unknown)
   return setmetatable({
     can_judge = can_judge,
     on_unknown = on_unknown,
-    max_open = MAX_OPEN, -- messages that may be open at once
+    max_open = MAX_OPEN, -- slots that may be open at once
     open = {}, -- [slot] = the message that is open there, or can.interleaved of several
     open_count = 0,
     ended = {}, -- [slot] = the good message that ended there last
     accepted = {}, -- [message ID] = true once a Start of it was accepted
-    buses = {}, -- [bus, 0 for an unknown one] = true once a Start came there
-    store = store.new(),
-    -- Of the newest frame; false for none (COMPAT 5.2: nil makes the table anew).
-    message = false,
-    slot = -1, -- of no frame
+    -- For revisits, by frame key.  If a read filter (-R) drops a packet, the next one gets its
+    -- number, and the later one wins.
+    transfers = {}, -- the message of a fragment; false if it turned out to be of none
+    kept_anomalies = {},
+    -- Of the newest frame:
     anomalies = false,
     keeps = true, -- true if it may be visited again
   }, Reassembly)
 end
 
---- Add an anomaly of the newest frame.
--- message    the one that is lost by it, or nil
+-- Losses -----------------------------------------------------------------------------------------
+
+-- Add an anomaly of the newest frame: { expert = name of an expert item, text }.
 -- text, ...  as for string.format
--- returns    an anomaly: { expert = name of an expert item, text, lost = key of the Start of the
---            message that is lost, or nil, is_open = true if it may still be withdrawn,
---            is_withdrawn = true if a later frame has proved that nothing is wrong; is_copy =
---            true if a recorder holds the frame twice, so nothing is lost }
-function Reassembly:add_anomaly(expert, message, text, ...)
-  -- The others are nil until they are set: that halves the memory.
-  local anomaly = { expert = expert, text = text:format(...), lost = message and message[1] }
-  if not self.anomalies then self.anomalies = {} end
-  table.insert(self.anomalies, anomaly)
-  return anomaly
+local function add_anomaly(self, expert, text, ...)
+  self.anomalies = self.anomalies or {}
+  table.insert(self.anomalies, { expert = expert, text = text:format(...) })
 end
 
---- Return whether a frame came so soon before or after another one that it may be its copy.
-function Reassembly:is_near(time, other_time)
-  return math.abs(time - other_time) < MAX_DISTANCE and self.can_judge(time)
+-- End a message that has more or fewer bytes than its size, or no End.  The copy of a good message
+-- is no loss.
+local function lose(self, message, received)
+  local status = received > message.size and "overrun" or "incomplete"
+  message.status, message.chunks, message.received = status, nil, received
+  if message.is_copy then return end
+  local number = frame_key.number(message[1])
+  add_anomaly(self, "fragment." .. status, LOSSES[status], number, received, message.size)
 end
-
--- Return whether an End came twice: it equals that of the message that ended in its slot.
-local function is_repeated_end(self, frame)
-  local message = frame.can_id.ctrl == END and self.ended[frame.slot]
-  if not message or not self:is_near(frame.time, message.time) then return false end
-  local length = frame.reported - (message.padding or 0)
-  return length > 0 and frame.data:sub(1, length) == message.payload:sub(-length)
-end
-
---- Add that the message of a Middle or End is not known.
-function Reassembly:add_orphan(frame)
-  local name = can_id.CTRL_NAMES[frame.can_id.ctrl]
-  local anomaly = self:add_anomaly("fragment.orphan", nil, "%s fragment: no Start captured", name)
-  anomaly.is_copy = is_repeated_end(self, frame) or nil
-  return anomaly
-end
-
---- Add that a message has more or fewer bytes than its size.
--- returns  its status
-function Reassembly:add_misfit(message, received)
-  local status = received < message.size and "incomplete" or "overrun"
-  message.received = received
-  self:add_anomaly("fragment." .. status, message, MISFIT[status], frame_key.number(message[1]),
-    received, message.size)
-  return status
-end
-
---- End a message.
--- fields   of its CAN ids (wire.can_id)
--- padding  how many of the payload's bytes are CAN FD padding; nil for none
--- status   where it is known; else the CRC decides between "good" and "bad"
-function Reassembly:finish(message, fields, payload, padding, status)
-  if (padding or 0) > 0 then
-    message.padding, payload = padding, payload:sub(1, message.size)
-  end
-  message.payload, message.chunks, message.status = payload, nil, status
-  if status then return end
-  local calculated = can_id.crc(fields, payload, message.reserved)
-  message.status = calculated == message.crc and "good" or "bad"
-  -- COMPAT 5.2: only here, as to write nil under a name that has none makes the table anew.
-  if message.status == "bad" then
-    message.calculated = calculated
-  else
-    self.ended[message.slot] = message
-  end
-end
-
---- End a message that no last frame will show.  Keep a copy for revisits of its fragments:
--- it is a third as large.
-function Reassembly:give_up(message)
-  message.status, message.chunks = "superseded", nil
-  if not self.keeps then return end
-  local copy = { slot = message.slot, source = message.source, size = message.size,
-    status = "superseded" }
-  for i, key in ipairs(message) do copy[i] = key end
-  self.store:keep(copy)
-end
-
---- Keep that a fragment came twice.
--- key, original  frame keys: of the second one, and of the first
--- message_key    of their CAN id
-function Reassembly:keep_duplicate(key, message_key, original)
-  if self.keeps then self.store:keep_duplicate(key, message_key, original) end
-end
-
--- Slots ------------------------------------------------------------------------------------------
 
 local function close(self, slot)
   self.open[slot], self.open_count = nil, self.open_count - 1
 end
 
--- The messages that are open in a slot, oldest Start first.
-local function list_open(self, slot)
-  local open = self.open[slot]
-  return open and (open.messages and open:messages() or { open }) or {}
-end
-
--- Return the newest message of each slot, in the order of their Starts.
-local function list_newest(self)
-  local list = {}
-  for slot in pairs(self.open) do
-    local messages = list_open(self, slot)
-    list[#list + 1] = messages[#messages]
-  end
-  table.sort(list, function(a, b) return a[1] < b[1] end)
-  return list
-end
-
--- Give up the messages with the oldest Starts, to make room for one more.
-local function make_room(self)
-  local list = list_newest(self)
-  local count = #list - math.floor(self.max_open / 2)
-  for i = 1, count do
-    local slot = list[i].slot
-    for _, message in ipairs(list_open(self, slot)) do self:give_up(message) end
-    close(self, slot)
-  end
-  self:add_anomaly("fragment.incomplete", nil,
-    "%d messages are open: the oldest %d are given up", #list, count)
-end
-
--- Make a pool of the open message in the slot of a frame.
-local function make_pool(self, message, frame)
-  for i = 2, self.keeps and #message or 0 do
-    self.store:keep_anomalies(message[i], frame.can_id.message_key, {})
-  end
-  local pool = interleaved.new(self, message, frame.can_id)
-  self.open[frame.slot] = pool
-  return pool
-end
-
--- Return whether a Start came twice: it equals that of a message without further fragments.
-local function is_repeated_start(self, message, frame)
-  local sum, size = can_id.start(frame.data)
-  return #message == 1 and message.crc == sum and message.size == size and
-    self:is_near(frame.time, message.time)
-end
-
--- A Start came while a message is open in its slot.  It may supersede that message, or be of
--- another bus: where no bus is known, or a converter lost the buses.  Later frames decide.
--- returns  a pool of can.interleaved if the message stays open, else nil
-local function supersede(self, frame)
-  local open, list = self.open[frame.slot], list_open(self, frame.slot)
-  local newest, anomaly = list[#list], nil
-  local chunks = newest.chunks
-  if not newest.status then
-    anomaly = self:add_anomaly("fragment.incomplete", newest,
-      "A new Start supersedes the message that started in frame %d: %d of %d bytes came",
-      frame_key.number(newest[1]), chunks and chunks.received or open:received(newest), newest.size)
-    anomaly.is_copy = is_repeated_start(self, newest, frame) or nil
-  end
-  if open == newest then
-    if chunks.is_truncated then
-      self:give_up(open)
-      return close(self, frame.slot)
+-- Give up all open messages: too many Starts came without their Ends.
+local function give_up_all(self)
+  local text = "%d messages are open: all of them are given up"
+  add_anomaly(self, "fragment.incomplete", text, self.open_count)
+  for _, open in pairs(self.open) do
+    for _, message in ipairs(open.messages or { open }) do
+      message.status, message.chunks = "incomplete", nil
     end
-    open = make_pool(self, open, frame)
   end
-  if open:supersede(anomaly) then return open end
+  self.open, self.open_count = {}, 0
+end
+
+-- Good and damaged messages ----------------------------------------------------------------------
+
+-- End a message that has all its bytes.
+-- fields     of its CAN ids (wire.can_id)
+-- padding    how many of the payload's bytes are CAN FD padding
+-- truncated  true if the capture truncated it; else the CRC decides
+local function finish(self, message, fields, payload, padding, truncated)
+  if padding > 0 then
+    message.padding, payload = padding, payload:sub(1, message.size)
+  end
+  message.payload, message.chunks = payload, nil
+  if truncated then
+    message.status = "truncated"
+    return
+  end
+  local calculated = can_id.crc(fields, payload, message.reserved)
+  if calculated == message.crc then
+    message.status = "good"
+    self.ended[message.slot] = message
+  else
+    message.status, message.calculated = "bad", calculated
+  end
+end
+
+-- End the open message of a slot with its last frame.
+local function end_message(self, message, frame, padding)
+  local chunks = message.chunks
   close(self, frame.slot)
+  message.time = frame.time
+  if padding then
+    finish(self, message, frame.can_id, concat(chunks), padding, chunks.is_truncated)
+  else
+    message.payload = concat(chunks)
+    lose(self, message, chunks.received)
+  end
+  return "last", message
+end
+
+-- Messages that are open at the same time --------------------------------------------------------
+
+-- Return whether a frame came so soon before or after another one that it may be its copy.
+local function is_near(self, time, other_time)
+  return math.abs(time - other_time) < MAX_DISTANCE and self.can_judge(time)
+end
+
+-- Assign frames of a group to a message.  Until then, they seemed to be of the newest one when they
+-- came.
+local function assign_frames(self, message, frames)
+  local transfers = self.transfers
+  for i = #message, 2, -1 do
+    if transfers[message[i]] == message then transfers[message[i]] = false end
+    message[i] = nil
+  end
+  for i, frame in ipairs(frames) do
+    local key = frame.key
+    local seeming = transfers[key] -- of another slot, if a read filter dropped this frame
+    local is_open = seeming and not seeming.status and seeming.slot == message.slot
+    message[i + 1] = key
+    if seeming == false or is_open then transfers[key] = message end
+  end
+end
+
+local function give_up_oldest(self, group)
+  local message, frames, received = group:remove_oldest()
+  assign_frames(self, message, frames)
+  lose(self, message, received)
+end
+
+-- Make the newest message of a group the only one of its slot: it gets all frames since its Start.
+local function reopen_newest(self, group, slot)
+  while group.messages[2] do give_up_oldest(self, group) end
+  local message, frames, received = group:remove_oldest()
+  assign_frames(self, message, frames)
+  message.chunks = { received = received }
+  for i, frame in ipairs(frames) do message.chunks[i] = frame.data end
+  self.open[slot] = message
+  return message
+end
+
+-- Mark the open messages with the same Start as a good one: a recorder holds that twice.
+local function mark_copies(self, message, others)
+  for _, other in ipairs(others) do
+    local is_same = other.crc == message.crc and other.size == message.size
+    if is_same and is_near(self, message.time, other.time) then other.is_copy = true end
+  end
+end
+
+-- Report the frames that no message can have any more: frames that came twice, or strangers.
+-- message  the good message among whose frames they came
+local function report_rest(self, frames, message)
+  local strangers = {}
+  for _, frame in ipairs(frames) do
+    if not frame.is_repeated then
+      strangers[#strangers + 1] = frame
+    elseif self.keeps then
+      self.transfers[frame.key], self.kept_anomalies[frame.key] = message, DUPLICATES
+    end
+  end
+  if not strangers[1] then return end
+  local text = "Fragments of no message: %d, the first in frame %d"
+  add_anomaly(self, "fragment.orphan", text, #strangers, frame_key.number(strangers[1].key))
+end
+
+-- End the message that an End completes.
+-- returns  it; nil for none
+local function complete(self, group, frame)
+  local message, frames, padding, rest = group:complete()
+  if not message then return nil end
+  local chunks = {}
+  for i, one in ipairs(frames) do chunks[i] = one.data end
+  assign_frames(self, message, frames)
+  mark_copies(self, message, group.messages)
+  message.time = frame.time
+  finish(self, message, frame.can_id, concat(chunks), padding, false)
+  report_rest(self, rest, message)
+  if not group.messages[1] then close(self, frame.slot) end
+  return message
+end
+
+-- Read a Middle or End of a slot in which several messages are open.
+local function add_interleaved(self, group, frame)
+  local data, is_end = frame.data, frame.can_id.ctrl == END
+  if #data < frame.reported then -- the CRC cannot decide any more
+    reopen_newest(self, group, frame.slot)
+    return self:add_fragment(frame)
+  end
+  local newest = group.messages[#group.messages]
+  newest[#newest + 1] = frame.key -- as it seems
+  group:add_frame(frame.key, data, is_end)
+  if is_end then
+    local message = complete(self, group, frame)
+    if message then return "last", message end
+    if group.end_count >= #group.messages then -- no other End is to come
+      message = reopen_newest(self, group, frame.slot)
+      local needed = #data + message.size - message.chunks.received
+      return end_message(self, message, frame, can_id.padding(data, #data, needed))
+    end
+  elseif group:is_full() then
+    while group.messages[1] do give_up_oldest(self, group) end
+    close(self, frame.slot)
+  end
+  return "fragment", newest
+end
+
+-- Make room in a slot for the message of a new Start.
+-- has_message  false for a Start that has none: then nothing stays open
+-- returns      the group of the messages that stay open; nil if none does
+local function make_room(self, open, frame, has_message)
+  local chunks = open.chunks
+  if chunks and chunks.is_truncated then
+    lose(self, open, chunks.received)
+    return close(self, frame.slot)
+  end
+  local group = chunks and interleaved.new(frame.can_id, open, true) or open
+  local messages = group.messages
+  while messages[1] do
+    local oldest = messages[1]
+    local may_stay = has_message and not (oldest.is_overtaken or oldest.is_copy)
+    if may_stay and #messages < MAX_IN_SLOT then break end
+    give_up_oldest(self, group)
+  end
+  if not messages[1] then return close(self, frame.slot) end
+  self.open[frame.slot] = group
+  return group
 end
 
 -- Starts -----------------------------------------------------------------------------------------
@@ -231,17 +276,17 @@ local function check_start(self, frame, size, reserved)
   local known, least, length = frame.source.size, frame.source.min_size, frame.reported
   if length ~= 8 then
     local expert = length > 8 and "size.mismatch" or "fragment.incomplete"
-    self:add_anomaly(expert, nil, "A Start has 8 bytes, this one has %d", length)
+    add_anomaly(self, expert, "A Start has 8 bytes, this one has %d", length)
   end
   if not reserved then return end
   if size == 0 then
-    self:add_anomaly("size.mismatch", nil, "The size of the message is 0")
+    add_anomaly(self, "size.mismatch", "The size of the message is 0")
   elseif known and (size > known or size < least) then
     local text = "The size is %d bytes, the catalogue says %d"
-    self:add_anomaly("size.mismatch", nil, text, size, known)
+    add_anomaly(self, "size.mismatch", text, size, known)
   end
   if reserved ~= 0 then
-    self:add_anomaly("reserved.nonzero", nil, "The reserved bytes are 0x%04x, not 0", reserved)
+    add_anomaly(self, "reserved.nonzero", "The reserved bytes are 0x%04x, not 0", reserved)
   end
 end
 
@@ -263,10 +308,10 @@ local function add_start(self, frame)
   local slot, fields = frame.slot, frame.can_id
   self.accepted[fields.id] = true
   if not frame.source.size then self.on_unknown(fields.id, fields.seq) end
-  self.buses[frame.bus or 0] = true
-  local several = self.open[slot] and supersede(self, frame)
+  local open, has_message = self.open[slot], reserved and size > 0
+  local group = open and make_room(self, open, frame, has_message)
   check_start(self, frame, size, reserved)
-  if not reserved or size == 0 then return "other" end
+  if not has_message then return "other" end
   local message = {
     frame.key, nil, nil, nil, nil, -- with room for the usual message of five frames
     slot = slot,
@@ -274,76 +319,69 @@ local function add_start(self, frame)
     time = frame.time,
     size = size,
     crc = sum,
-    reserved = reserved ~= 0 and reserved or nil,
-    chunks = { nil, nil, nil, nil, received = 0 },
+    chunks = { nil, nil, nil, nil, received = 0, is_truncated = false },
     status = nil,
     payload = nil,
   }
-  if several then
-    several:open_message(message)
+  if reserved ~= 0 then message.reserved = reserved end
+  if group then
+    table.insert(group.messages, message)
+    message.chunks = nil
     return "fragment", message
   end
-  if self.open_count >= self.max_open then make_room(self) end
+  if self.open_count >= self.max_open then give_up_all(self) end
   self.open[slot], self.open_count = message, self.open_count + 1
   return "fragment", message
 end
 
 -- Middles and Ends -------------------------------------------------------------------------------
 
--- Add a Middle or End whose slot has no message, or a pool.
-local function add_other_fragment(self, frame, pool)
+-- Return whether an End came twice: it equals that of the message that ended in its slot.
+local function is_repeated_end(self, frame)
+  local message = frame.can_id.ctrl == END and self.ended[frame.slot]
+  if not message or not is_near(self, frame.time, message.time) then return false end
+  local length = frame.reported - (message.padding or 0)
+  return length > 0 and frame.data:sub(1, length) == message.payload:sub(-length)
+end
+
+-- Read a Middle or End of a slot without an open message.
+local function add_orphan(self, frame)
   local fields = frame.can_id
-  if pool then
-    local kind, message = pool:add_fragment(frame)
-    if #pool:messages() == 0 then close(self, frame.slot) end
-    return kind, message
-  end
   if not frame.accepts_all and (fields.ctl ~= 0 or not frame.source.size) then return nil end
-  self:add_orphan(frame)
+  if is_repeated_end(self, frame) then
+    self.anomalies = DUPLICATES
+  else
+    local name = can_id.CTRL_NAMES[fields.ctrl]
+    add_anomaly(self, "fragment.orphan", "%s fragment: no Start captured", name)
+  end
   return "other"
 end
 
--- End a message with its last frame.  A frame comes twice if its sender missed the acknowledgement,
--- or if a recorder holds it twice.  So a message that does not fit, and has such frames, is pooled:
--- if its CRC is good without some of them, the pool leaves these out.
-local function end_message(self, message, frame)
-  local chunks, status = message.chunks, nil
-  local needed = frame.reported + message.size - chunks.received
-  local padding = can_id.padding(frame.data, frame.reported, needed)
-  if chunks.is_truncated then status = "truncated" end
-  if not padding then
-    if chunks.repeated and not status then
-      message[#message], chunks[#chunks] = nil, nil -- the pool adds the frame
-      return add_other_fragment(self, frame, make_pool(self, message, frame))
-    end
-    status = self:add_misfit(message, chunks.received)
-  end
-  close(self, frame.slot)
-  self:finish(message, frame.can_id, concat(chunks), padding, status)
-  return "last", message
-end
-
-local function add_fragment(self, frame)
+--- Add a Middle or End.
+-- returns  as Reassembly:add
+function Reassembly:add_fragment(frame)
   local message = self.open[frame.slot]
-  local chunks = message and message.chunks
-  if not chunks then return add_other_fragment(self, frame, message) end
-  local data, reported, index = frame.data, frame.reported, #message
-  local received = chunks.received + reported
+  if not message then return add_orphan(self, frame) end
+  local chunks = message.chunks
+  if not chunks then return add_interleaved(self, message, frame) end
+  local data, reported, size, padding = frame.data, frame.reported, message.size, nil
+  local received, is_end = chunks.received + reported, frame.can_id.ctrl == END
+  local was_truncated, index = chunks.is_truncated, #message
+  if #data < reported then chunks.is_truncated = true end
+  if is_end then
+    padding = can_id.padding(data, reported, size - chunks.received)
+    if not padding and received > size and not chunks.is_truncated then
+      return add_interleaved(self, interleaved.new(frame.can_id, message, false), frame)
+    end
+  end
   message[index + 1] = frame.key
   message.time = frame.time
   chunks.received = received
-  if not chunks.is_truncated then
-    if data == chunks[index - 1] then chunks.repeated = (chunks.repeated or 0) + reported end
-    if #data < reported then chunks.is_truncated = true end
-    chunks[index] = data
-  end
-  if frame.can_id.ctrl == END then
-    return end_message(self, message, frame)
-  end
-  local excess = received - message.size
-  if excess > 0 and excess > (chunks.repeated or 0) then
-    message.status = self:add_misfit(message, received)
-    message.chunks = { received = received, is_truncated = true } -- its bytes are of no use
+  if not was_truncated then chunks[index] = data end
+  if is_end then return end_message(self, message, frame, padding) end
+  if received > size + MAX_WASTE then
+    close(self, frame.slot)
+    lose(self, message, received)
   end
   return "fragment", message
 end
@@ -367,12 +405,12 @@ end
 
 local function add_undefined(self, frame)
   if not frame.accepts_all then return nil end
-  self:add_anomaly("can.ctrl.invalid", nil, "CAN CTRL is %d; 0 to 3 are defined", frame.can_id.ctrl)
+  add_anomaly(self, "can.ctrl.invalid", "CAN CTRL is %d; 0 to 3 are defined", frame.can_id.ctrl)
   return "other"
 end
 
 -- By CAN CTRL: (reassembly, frame) -> kind, message.
-local ADDERS = { [0] = add_single, add_start, add_fragment, add_fragment }
+local ADDERS = { [0] = add_single, add_start, Reassembly.add_fragment, Reassembly.add_fragment }
 for ctrl = #ADDERS + 1, 15 do ADDERS[ctrl] = add_undefined end
 
 -- Frames ------------------------------------------------------------------------------------------
@@ -380,80 +418,61 @@ for ctrl = #ADDERS + 1, 15 do ADDERS[ctrl] = add_undefined end
 --- Add the next frame of the capture.
 -- frame    see reading.records
 -- returns  nil for a frame that is not YAPP's, else its kind: "single"; "fragment", of a message;
---          "last", with which its message ends; "other", which has no message, as the anomalies say
---          the message of a fragment or single frame, else nil
+--          "last", with which a message ends; "other", which has no message, as the anomalies say
+--          the message of a fragment or single frame, as it seems while several are open
 --          its list of anomalies, or false
 function Reassembly:add(frame)
-  local keeps = not frame.is_only_pass
+  local key, keeps = frame.key, not frame.is_only_pass
   self.anomalies, self.keeps = false, keeps
   local kind, message = ADDERS[frame.can_id.ctrl](self, frame)
+  local anomalies = self.anomalies
   if keeps then
-    self.message, self.slot = message or false, frame.slot
-    -- It is not known yet which message an interleaved fragment belongs to, if any.
-    local is_other = kind == "other" or kind == "fragment" and not message.chunks
-    if self.anomalies or is_other then
-      self.store:keep_anomalies(frame.key, frame.can_id.message_key, self.anomalies or {})
+    local transfers, kept = self.transfers, self.kept_anomalies
+    if kind == "fragment" or kind == "last" then
+      transfers[key] = message
+    elseif transfers[key] ~= nil then -- of a packet that a read filter dropped
+      transfers[key] = nil
+    end
+    if kind == "other" or anomalies or kept[key] then
+      kept[key] = anomalies or kind == "other" and {} or nil
     end
   end
-  return kind, message, self.anomalies
+  return kind, message, anomalies
 end
 
---- Keep the message that the newest frame has ended for revisits.
--- has_fault  true if it has a fault flag set
-function Reassembly:keep(message, has_fault)
-  message.has_fault = has_fault or false
-  self.store:keep(message)
-end
-
---- Forget the newest frame: a read filter dropped its packet, so the next one has its key.
-function Reassembly:forget(key)
-  local pool = self.open[self.slot]
-  if pool and not pool.chunks then pool:forget(key, self.message) end
-  self.store:forget(key, self.slot % can_id.BUS, self.message)
-  self.message = false
-end
-
--- Return the message in a slot that has a frame as a fragment, and the index of that; nil for none.
-local function find_in(self, slot, key)
-  local found, index = self.store:find(slot, key)
-  if found then return found, index end
-  for _, message in ipairs(list_open(self, slot)) do
-    index = frame_key.last_until(message, key)
-    if message[index] == key then return message, index end
-  end
-end
-
--- The same for all buses: once a read filter has dropped a packet, no bus is known on revisits.
-local function find(self, frame)
-  local message, index = find_in(self, frame.slot, frame.key)
-  for bus in pairs(message and {} or self.buses) do
-    message, index = find_in(self, can_id.slot(frame.can_id, bus), frame.key)
-    if message then break end
-  end
-  return message, index
+--- Mark that a message has a fault flag set: revisits of its fragments show it.
+function M.mark_fault(message)
+  message.has_fault = true
 end
 
 --- Recall a frame that was added before.
 -- returns  as Reassembly:add, and the index of the frame in its message; of a fragment that came
 --          twice, the index of the one before
 function Reassembly:recall(frame)
-  local message, index = find(self, frame)
-  local anomalies = self.store:anomalies_of(frame.key, frame.can_id.message_key)
-  if message then
-    local is_last = message.payload and message[#message] == frame.key
-    return is_last and "last" or "fragment", message, anomalies, index
+  local key = frame.key
+  local message, anomalies = self.transfers[key], self.kept_anomalies[key]
+  if message and message.slot % can_id.BUS == frame.can_id.message_key then
+    local is_last = message.payload and message[#message] == key
+    return is_last and "last" or "fragment", message, anomalies, frame_key.last_until(message, key)
+  elseif anomalies or message == false then
+    return message == false and "fragment" or "other", nil, anomalies
+  elseif frame.can_id.ctrl == 0 then
+    return add_single(self, frame)
   end
-  local kind = anomalies and "other"
-  if frame.can_id.ctrl == 0 then kind, message = add_single(self, frame) end
-  return kind, message, anomalies
 end
 
---- Return the messages that have neither ended nor been superseded, in the order of their Starts.
+--- Return the messages that the capture ends before, in the order of their Starts: a list of
+-- { message, is_lost = true if a later Start or an End came }.
 function Reassembly:unfinished()
   local list = {}
-  for _, message in ipairs(list_newest(self)) do
-    if not message.status then list[#list + 1] = message end
+  for _, open in pairs(self.open) do
+    local messages, has_end = open.messages or { open }, (open.end_count or 0) > 0
+    for i, message in ipairs(messages) do
+      local is_lost = i < #messages or message.is_overtaken or has_end
+      if not message.is_copy then list[#list + 1] = { message = message, is_lost = is_lost } end
+    end
   end
+  table.sort(list, function(a, b) return a.message[1] < b.message[1] end)
   return list
 end
 

@@ -28,6 +28,7 @@ local M = {}
 local BUS, START = can_id.BUS, can_id.START
 local sub = string.sub
 local MAX_SHORT = 128 -- bytes; a longer packet of an unknown conversation is YAPP if it is alone
+local LOST = { { expert = "fragment.incomplete", text = "" } } -- of a message without an End
 local FIRST = 4096 -- bytes: few need more to show that they are YAPP
 
 local Reading = {}
@@ -64,13 +65,13 @@ function Reading:reset(options)
     return memo(function(id) return self.types:new_source(id, bus, self.buses:name(bus)) end)
   end)
   self.newest_key = 0 -- of the newest frame: one above it is new
-  self.saw_unknown_bus = false -- true if a frame came whose bus is not known
   -- Of the current frame, used again as that is: the result of a plain fragment, and of others.
   self.plain = records.new_result("fragment", false)
   self.result = records.new_result("other", false)
   -- Streams:
   self.streams = streams.new(function() return self:new_framer() end, can_judge)
   self.lines = lines.new(self.types, self.buses)
+  self.ending = false -- see Reading:finish
   self.found = {} -- [trial_key of a line] = true: conversations that were found by content
 end
 
@@ -83,21 +84,14 @@ end
 
 -- CAN ---------------------------------------------------------------------------------------------
 
--- Read the message that a frame ends.
-local function end_message(self, of_frame, kind, transfer)
-  local message, is_usual = self.messages:read(of_frame, transfer)
-  local is_kept = kind == "single" or of_frame.visited or of_frame.is_only_pass
-  if not is_kept then self.reassembly:keep(transfer, message.remarks.has_fault) end
-  return message, is_usual
-end
-
 -- Return the result of a frame, and report it.
 -- kind ...  of can.reassembly
 local function new_frame_result(self, of_frame, kind, transfer, anomalies, index)
   local result, message, is_usual = self.result, false, true
   of_frame.seq = of_frame.can_id.seq
   if kind == "last" or kind == "single" then
-    message, is_usual = end_message(self, of_frame, kind, transfer)
+    message, is_usual = self.messages:read(of_frame, transfer)
+    if message.remarks.has_fault then reassembly.mark_fault(transfer) end
   end
   result.kind = kind
   result.frame = of_frame
@@ -129,18 +123,13 @@ function Reading:read_frame(of_frame)
   if of_frame.visited then
     kind, transfer, anomalies, index = recall(self, of_frame)
   else
-    if not of_frame.is_bus_known then self.saw_unknown_bus = true end
-    if key > self.newest_key then
-      self.newest_key = key
-    else -- a read filter (-R) dropped the packet before, and this one has its number
-      self.reassembly:forget(key)
-    end
+    if key > self.newest_key then self.newest_key = key end
     kind, transfer, anomalies = self.reassembly:add(of_frame)
   end
   if kind == "fragment" and not anomalies then -- no statistic counts it
     local plain = self.plain
     plain.frame = of_frame
-    plain.transfer = transfer
+    plain.transfer = transfer or false -- none of a frame that turned out to be of no message
     plain.index = index
     plain.is_usual = #of_frame.data == of_frame.reported
     return plain
@@ -294,16 +283,15 @@ end
 
 -- The CAN messages that the capture ends before.
 local function finish_frames(self, list)
-  for _, transfer in ipairs(self.reassembly:unfinished()) do
-    local key, source = transfer[#transfer], transfer.source
-    -- Where buses are not known any more, a message of a known bus may have gone on unseen.  A
-    -- fraction marks a frame that a read filter dropped.
-    if key % 1 == 0 and not (self.saw_unknown_bus and source.bus_key) then
-      local of_frame = records.new_can_frame()
-      of_frame.key, of_frame.number, of_frame.time = key, number_of(key), transfer.time
-      of_frame.source, of_frame.seq = source, transfer.slot % 0x100
-      list[#list + 1] = records.new_result("unfinished", of_frame)
-    end
+  for _, open in ipairs(self.reassembly:unfinished()) do
+    local transfer, of_frame = open.message, records.new_can_frame()
+    local key = transfer[transfer.chunks and #transfer or 1]
+    of_frame.key, of_frame.number, of_frame.time = key, number_of(key), transfer.time
+    of_frame.source, of_frame.seq = transfer.source, transfer.slot % 0x100
+    of_frame.can_id = can_id.fields[transfer.slot % BUS]
+    local result = records.new_result(open.is_lost and "other" or "unfinished", of_frame)
+    if open.is_lost then result.anomalies = LOST end
+    list[#list + 1] = result
   end
 end
 

@@ -71,8 +71,7 @@ local function add_transfer(self, result)
     set_generated(add(item, fields["reassembled.in"], frame.number))
     append_text(set_generated(add(item, fields.size, transfer.size)), " bytes")
     set_generated(add(item, fields.reserved, transfer.reserved or 0))
-    local crc = transfer.crc or can_id.crc(frame.can_id, transfer.payload)
-    self.builder:add_crc(item, nil, transfer, crc)
+    self.builder:add_crc(item, nil, transfer, transfer.crc)
     self.builder:add_fragments(item, payload or self.range, transfer, #transfer.payload, payload)
   end
   local start = frame.reported - (transfer.padding or 0)
@@ -110,7 +109,9 @@ end
 -- and number of fragments.
 local function fragment_text(result)
   local frame, transfer, index = result.frame, result.transfer, result.index
-  local source, size, count = frame.source, transfer.size, 0
+  local source = frame.source
+  if not transfer then return source.label .. "  fragment of no message" end
+  local size, count = transfer.size, 0
   if not index then
     index = #transfer
   elseif transfer[index] ~= frame.key then
@@ -137,19 +138,19 @@ end
 -- does not end.
 local function find_end(self, frame, transfer)
   local last = transfer[#transfer]
-  if transfer.payload then return last % 1 == 0 and number_of(last) or nil end
+  if transfer.payload then return number_of(last) end
   if not transfer.status and last == frame.key then
     self.builder:add_expert(self.item, "unfinished")
   end
 end
 
 local function show_fragment(self, result)
-  local frame, wants, number = result.frame, self.wants, nil
-  if frame.visited then number = find_end(self, frame, result.transfer) end
+  local frame, transfer, wants, number = result.frame, result.transfer, self.wants, nil
+  if frame.visited and transfer then number = find_end(self, frame, transfer) end
   if wants.yapp then
     add_fragment(self, result)
     if number then set_generated(add(self.item, self.fields["reassembled.in"], number)) end
-    self.builder:add_has_fault(self.item, result.transfer.has_fault)
+    if transfer then self.builder:add_has_fault(self.item, transfer.has_fault) end
   end
   if not wants.columns then return end
   local text = fragment_text(result)

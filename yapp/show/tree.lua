@@ -192,8 +192,7 @@ function Tree:add_fragments(item, whole, keys, length, payload)
   local list = set_generated(add(item, fields.fragments, whole))
   list:set_text(("%d fragments (%d bytes)"):format(#keys, length))
   for i = 1, #keys do
-    local key = keys[i]
-    if key % 1 == 0 then set_generated(add(list, fields.fragment, number_of(key))) end
+    set_generated(add(list, fields.fragment, number_of(keys[i])))
   end
   set_generated(add(list, fields["fragment.count"], #keys))
   set_generated(add(list, fields["reassembled.length"], length))

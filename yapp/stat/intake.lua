@@ -7,11 +7,7 @@
 --   size           number of its bytes, if the catalogue does not decode all of them
 --   undecoded      number of these bytes behind those that the catalogue has, or nil
 --   is_unreliable  true if the past of the message is not known }
--- The values of a loss are {
---   shown    { what = "incomplete", "orphan" or "overrun" }: its values in the statistics
---   lost     a value that all losses of one message share, or nil
---   anomaly  { is_withdrawn = true if nothing is lost after all, is_open = true if that may
---            change } }
+-- The values of a loss are { what = "incomplete", "orphan" or "overrun" }.
 
 local can_id = require "yapp.wire.can_id"
 local compiler = require "yapp.message.catalogue"
@@ -38,7 +34,7 @@ Intake.__index = Intake
 -- The state of a source.
 local function new_state()
   return {
-    orphan = false, -- or { seq }: the message that lost its Start, while its frames come
+    orphan_seq = false, -- of the message that lost its Start, while its frames come
     unknown_seq = nil, -- the latest, see report_undissected
   }
 end
@@ -128,7 +124,7 @@ end
 local function report_message(self, frame, message)
   local kind, values = KIND_OF[message.status], nil
   if not kind then return end
-  if self.has_orphans then self.states[message.source].orphan = false end
+  if self.has_orphans then self.states[message.source].orphan_seq = false end
   if message.copy_of then return offer(self, "copies", frame, { of = message.copy_of }, message) end
   if kind == "message" then
     values = values_of(message)
@@ -140,33 +136,28 @@ end
 
 -- Losses ------------------------------------------------------------------------------------------
 
--- Return a table that stands for one orphaned message: its frames in a row with one Seq No, up to
--- its End, share the table.
-local function orphaned(state, seq, is_end)
-  local orphan = state.orphan
-  if not orphan or orphan.seq ~= seq then
-    orphan = { seq = seq }
-  end
-  state.orphan = not is_end and orphan
-  return orphan
+-- Return whether an orphan begins a loss.  The orphans in a row with one Seq No, up to an End, are
+-- one lost message.
+local function begins_loss(state, seq, is_end)
+  local begins = state.orphan_seq ~= seq
+  state.orphan_seq = not is_end and seq
+  return begins
 end
 
 -- Report the anomalies of a frame.  Anomalies that lose a message, or a part of one, are events.
--- anomalies  list of { expert, lost = frame key of the Start of the message that is lost or nil,
---            is_withdrawn = true if nothing is wrong after all, is_open = true if that may change,
---            is_copy = true if a recorder holds the frame twice, which loses nothing }
+-- anomalies  list of { expert }
 local function report_anomalies(self, frame, anomalies)
-  local state, fields = self.states[frame.source], frame.can_id
+  local state, is_end = self.states[frame.source], frame.can_id and frame.can_id.ctrl == END
   for _, anomaly in ipairs(anomalies) do
-    local shown, lost = LOSSES[anomaly.expert], anomaly.lost
-    if shown and not anomaly.is_copy then
-      if shown.what == "orphan" then
-        lost, self.has_orphans = orphaned(state, frame.seq, fields.ctrl == END), true
-      else
-        state.orphan = false
-      end
-      offer(self, "incomplete", frame, { shown = shown, lost = lost, anomaly = anomaly })
+    local values = LOSSES[anomaly.expert]
+    local is_orphan = values and values.what == "orphan"
+    if is_orphan then
+      self.has_orphans = true
+      if not begins_loss(state, frame.seq, is_end) then values = nil end
+    elseif values then
+      state.orphan_seq = false
     end
+    if values then offer(self, "incomplete", frame, values) end
   end
 end
 

@@ -14,7 +14,6 @@ local output = require "yapp.stat.output"
 
 local M = {}
 
-local MAX_LOSSES = 1000 -- look through the waiting losses when they are more, see deliver_losses
 local SEARCH_PREFERENCES = "yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first, " ..
   "-d tcp.port==PORT,yapp_serial, in Wireshark also yapp.search_all" -- tshark searches all
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
@@ -56,8 +55,6 @@ function Queue:reset()
   self.packets = 0
   self.clocks = {} -- by source, see time_of
   self.dates:set_first(0, 0, 0) -- until a time is known, if ever
-  self.losses, self.max_losses = {}, MAX_LOSSES -- events that wait, see deliver_losses
-  self.seen = {} -- [value that all losses of one message share] = true once one was handed on
   self.undissected = {} -- events, see Queue:add_undissected: they count if messages are dissected
   self.has_messages = false
   self.is_direct = false
@@ -165,41 +162,12 @@ local function deliver(self, event)
   end
 end
 
--- Hand on the losses that were not withdrawn: each lost message once.  Those that may still be
--- withdrawn wait.  They are few, so all losses wait until they are twice as many: it costs little
--- to look at them then.
--- is_end  true if none of them will be withdrawn any more
-local function deliver_losses(self, is_end)
-  local losses, seen = self.losses, self.seen
-  self.losses = {}
-  for _, event in ipairs(losses) do
-    local lost, anomaly = event.values.lost, event.values.anomaly
-    if anomaly.is_open and not is_end then
-      self.losses[#self.losses + 1] = event
-    elseif not (anomaly.is_withdrawn or seen[lost or false]) then
-      if lost then seen[lost] = true end
-      event.values = event.values.shown
-      deliver(self, event)
-    end
-  end
-  self.max_losses = max(MAX_LOSSES, 2 * #self.losses)
-end
-
-local function deliver_or_wait(self, event)
-  if event.values.anomaly then
-    self.losses[#self.losses + 1] = event
-    if #self.losses > self.max_losses then deliver_losses(self) end
-  else
-    deliver(self, event)
-  end
-end
-
 local function deliver_waiting(self)
   local waiting = self.waiting
   if not waiting[1] then return end
   for i, event in ipairs(waiting) do
     waiting[i] = nil
-    deliver_or_wait(self, event)
+    deliver(self, event)
   end
 end
 
@@ -209,7 +177,7 @@ function Queue:offer(event, visited)
   -- An event of an earlier packet is of a conversation that was unknown when that came.
   if self.is_direct or event.frame <= self.latest then
     deliver_waiting(self)
-    return deliver_or_wait(self, event)
+    return deliver(self, event)
   end
   if event.frame ~= self.number or visited ~= self.visited then
     self.number, self.visited, self.offered = event.frame, visited, {}
@@ -336,7 +304,6 @@ end
 -- returns  the exit code, and a list of texts to say
 function Queue:finish(capture)
   deliver_waiting(self)
-  deliver_losses(self, true)
   for _, event in ipairs(capture.unread and {} or capture.unfinished) do
     deliver(self, event)
   end
