@@ -60,7 +60,6 @@ local serial_dissector = later "yapp.host.serial"
 local show_frame = later "yapp.show.frame"
 local show_packet = later "yapp.show.packet"
 local show_tree = later "yapp.show.tree"
-local stat_intake = later "yapp.stat.intake"
 local stat_taps = later "yapp.stat.taps"
 local usb = later "yapp.host.usb"
 
@@ -323,7 +322,6 @@ local function make_statistics()
   make_reading()
   stat = stat_taps.new {
     settings = settings,
-    intake = stat_intake.new(catalogue),
     builder = builder,
     buses = buses,
     reading = reading,

@@ -479,6 +479,13 @@ def advice(text):
     return shlex.split(re.search(r"\. Try (.*)", text)[1])
 
 
+def undecoded_faults(*arguments):
+    """What faults prints of a capture whose sources are not all decoded: their number is unknown, the exit code 21."""
+    done = tshark.run("-q", *arguments, "-z", "yapp,faults", check=False)
+    assert done.returncode == 21 and re.match(r"YAPP faults: UNKNOWN, \d+ of \d+ sources? not decoded, 0 in what was decoded\n", done.stdout)
+    return done.stdout.splitlines()[1:]
+
+
 @pytest.mark.parametrize("seq", [0, 7], ids=["not numbered", "numbered"])
 def test_eight_controllers_without_a_preference(folder, seq):
     """Every answer says that six of them were not decoded; the preference that it suggests finds the fault."""
@@ -487,10 +494,12 @@ def test_eight_controllers_without_a_preference(folder, seq):
         "(32 bytes each, the size of Motor Data). Try -o yapp.motor_ids:0x210-0x213"
     taps = [argument for what in model.IN_TEXT for argument in ("-z", f"yapp,{what}")]
     for passes in (), ("-2",):
-        said = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", *taps).stdout.splitlines()
+        said = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", *taps, check=False).stdout.splitlines()
+        assert "YAPP faults: UNKNOWN, 6 of 8 sources not decoded, 0 in what was decoded" in said
         assert [following for line, following in zip(said, said[1:]) if line.startswith("YAPP")] == [text] * len(model.IN_TEXT)
         for what in model.ON_STDERR if not passes and not seq else model.ON_STDERR[:1]:
-            assert f"yapp: {text}\n" in tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", f"yapp,{what}").stderr, what
+            done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", f"yapp,{what}", check=False)
+            assert f"yapp: {text}\n" in done.stderr and done.returncode == (21 if what.startswith("faults") else 0), what
         done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,events,json")
         events = [json.loads(line) for line in done.stdout.splitlines()]
         found = {(line["bus"], line["id"]): line for line in events if line["kind"] == "unknown"}
@@ -534,8 +543,7 @@ def test_single_frames_of_an_unknown_id(folder):
     (folder / "run.pcapng").write_bytes(pcapng(sorted(placed, key=lambda one: one[0]), ("can0", "can1")))
     text = "20 messages were not decoded: can1 0x5 (7 bytes each, the size of Command). Try -o yapp.command_ids:0x0,0x5"
     for passes in (), ("-2",):
-        done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults")
-        assert done.stdout.splitlines()[1:] == [text]
+        assert undecoded_faults(*passes, "-r", folder / "run.pcapng") == [text]
     assert tshark.run("-q", "-r", folder / "run.pcapng", "-z", "yapp,check", check=False).returncode == 20
     done = tshark.run(*advice(text), "-q", "-r", folder / "run.pcapng", "-z", "yapp,check,unknown=0,command.count=20")
     assert "not decoded" not in done.stdout
@@ -550,8 +558,8 @@ def test_an_unlisted_id_that_shows_late(folder):
                   for number, frame in enumerate(sent.frames())]
     (folder / "run.log").write_text("\n".join(lines) + "\n")
     for passes in (), ("-2",):
-        done = tshark.run(*passes, "-q", "-r", folder / "run.log", "-z", "yapp,faults")
-        assert "20 messages were not decoded: can0 0x211 (32 bytes each, the size of Motor Data)" in done.stdout
+        (line,) = undecoded_faults(*passes, "-r", folder / "run.log")
+        assert line.startswith("20 messages were not decoded: can0 0x211 (32 bytes each, the size of Motor Data)")
 
 
 @pytest.mark.parametrize("payload", [overheated, command_payload])
@@ -567,12 +575,11 @@ def test_a_yapp_ctl_other_than_0(folder, payload):
             frame.bus = 1
             placed.append((at + place * 300_000, frame))
     (folder / "run.pcapng").write_bytes(pcapng(sorted(placed, key=lambda one: one[0]), ("can0", "can1")))
-    text = f"20 messages were not decoded: can1 {ident:#x} ({size} bytes each, {title} with a YAPP CTL other than 0). " \
-        "Try -o yapp.all_extended:TRUE"
+    text = f"20 messages were not decoded: can1 {ident:#x} ({size} bytes each, {title} with a YAPP CTL other than 0, " \
+        "see yapp.all_extended)"
     for passes in (), ("-2",):
-        done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults")
-        assert done.stdout.splitlines()[1:] == [text]
-    done = tshark.run(*advice(text), "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults")
+        assert undecoded_faults(*passes, "-r", folder / "run.pcapng") == [text]
+    done = tshark.run("-o", "yapp.all_extended:TRUE", "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults")
     assert "not decoded" not in done.stdout and ("motor_overcurrent" in done.stdout) == (payload is overheated)
 
 
@@ -589,8 +596,7 @@ def test_a_single_frame_of_another_size(folder):
     titles = [title for _, title, _ in (one for one in model.MESSAGES.values() if one.size == 8)]
     about = f"the size of {' and of '.join(titles)}" if titles else "Command has 7"
     for passes in (), ("-2",):
-        done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults")
-        (line,) = done.stdout.splitlines()[1:]
+        (line,) = undecoded_faults(*passes, "-r", folder / "run.pcapng")
         assert line.partition(")")[0] == f"20 messages were not decoded: can1 0x0 (8 bytes each, {about}"
 
 
@@ -615,8 +621,8 @@ def test_single_frames_of_an_unknown_id_where_all_frames_are_yapp(folder, option
         (folder / "run").write_text("".join(
             f"(1700000000.{index:06d}) can{one.bus} {one.can_id:0{3 if one.kind == 'standard' else 8}X}#{one.data.hex().upper()}\n"
             for index, one in enumerate(frames)))
-    done = tshark.run("-q", "-r", folder / "run", *option, "-z", "yapp,faults")
-    assert "3 messages were not decoded: can0 0x1 (7 bytes each, the size of Command)" in done.stdout
+    (line,) = undecoded_faults("-r", folder / "run", *option)
+    assert line.startswith("3 messages were not decoded: can0 0x1 (7 bytes each, the size of Command)")
 
 
 def test_remote_frames_beside_data_of_zeros(folder):
@@ -648,16 +654,13 @@ def test_csv_in_a_folder_says_what_was_not_decoded(folder):
 
 
 def test_one_id_with_two_messages(folder):
-    """The same ID carries Motor Data on one bus and Health on the other: only yapp.sources can say it."""
-    (folder / "run.pcapng").write_bytes(controllers([
-        (0, 0x211, overheated), (1, 0x211, health_payload), (0, 0x300, health_payload), (1, 0x210, health_payload)]))
+    """The same ID carries Motor Data on one bus and Health on the other: no preference of IDs can say it, yapp.sources can."""
+    (folder / "run.pcapng").write_bytes(controllers([(0, 0x211, overheated), (1, 0x211, health_payload), (0, 0x300, health_payload)]))
     capture = folder / "run.pcapng"
-    given = ["-o", "yapp.sources:can0/0x300=spare, 0x7ff=motor:none", "-o", "yapp.health_ids:0x205"]
-    said = tshark.run(*given, "-q", "-r", capture, "-z", "yapp,faults").stdout
-    found = advice(said)
-    assert found == ["-o", "yapp.health_ids:0x205,0x300", "-o", "yapp.sources:can0/0x300=spare, 0x7ff=motor:none,"
-                     "can0/0x211=motor:,can1/0x211=health:,can1/0x210=health:"]
-    done = tshark.run(*given, *found, "-q", "-r", capture, "-z", "yapp,faults", "-z", "yapp,check,unknown=0")
+    (line,) = undecoded_faults("-o", "yapp.health_ids:0x205", "-r", capture)
+    assert advice(line) == ["-o", "yapp.health_ids:0x205,0x300"]
+    names = "yapp.sources:can0/0x211=motor:,can1/0x211=health:"
+    done = tshark.run("-o", names, *advice(line), "-q", "-r", capture, "-z", "yapp,faults", "-z", "yapp,check,unknown=0")
     assert "motor_overcurrent" in done.stdout and "not decoded" not in done.stdout
 
 

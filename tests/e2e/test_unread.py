@@ -48,8 +48,8 @@ def test_another_that_cannot(options, said):
 # The plugin fails --------------------------------------------------------------------------------------------------------
 
 # Where an error is planted: behind the first line of a function.
-PLACES = [("yapp/stat/derive.lua", "function Deriver:derive("),  # in taps of packets
-          ("yapp/stat/queue.lua", "function Queue:packet(number, rel, lacks_clock)")]
+PLACES = [("yapp/stat/events.lua", "function Events:add("),  # in taps of packets
+          ("yapp/stat/run.lua", "function Run:packet(number, rel, has_clock)")]
 
 
 def planted(folder, path, line, code):
@@ -96,7 +96,7 @@ def test_stamps_of_two_recorders_that_alternate():
     rows = [json.loads(line) for line in tshark.run("-q", "-r", path, "-z", "yapp,faults,json").stdout.splitlines()]
     assert [(row["event"], row["active"]) for row in rows] == [("raised", None), ("cleared", 1.0)]
     done = tshark.run("-q", "-r", path, "-z", "yapp,check,silence=0,motor.gap=0.11", "-z", "yapp,events", check=False)
-    assert done.returncode == 0 and " -" not in done.stdout.replace("-11-", ""), done.stdout
+    assert done.returncode == 0 and "time stamps went back" in done.stdout, done.stdout
 
 
 # A ring of files ---------------------------------------------------------------------------------------------------------
@@ -115,7 +115,7 @@ def test_a_live_capture_that_goes_on_in_new_files(folder, what):
     done, files = capture(folder, ["-b", "packets:25"], "-q", "-z", f"yapp,{what}")
     assert len(files) > 2 and done.returncode == 21  # on a slow machine a file may have more than 25 packets
     later = f"were read: the live capture (-b) went on in {len(files) - 1} more files"
-    assert told(done, what, later) and told(done, what, "of the first file" if what.startswith("csv") else " packets were read")
+    assert told(done, what, later) and told(done, what, " packets were read")
 
 
 def test_a_live_capture_of_which_tshark_reads_more_than_the_first_file(folder):

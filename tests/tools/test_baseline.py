@@ -27,13 +27,13 @@ SOURCES = ",".join(
 OPTIONS = ("-o", "yapp.motor_ids:0x210,0x211", "-o", "yapp.health_ids:0x200,0x201", "-o", f"yapp.sources:{SOURCES}")
 # A motor 12 °C hotter, a battery 4 V lower, a controller's voltage 1.2 V lower, 8.5 messages a second, half the speed
 # in following the command; a reboot, an overcurrent of 0.5 s, a sensor that fails, a message that is lost; 30 % more
-# current, five times the noise of the speed, a second without messages; 15 % more current, and Saturated for 5 s.
+# current, five times the noise of the speed, a second without messages; 15 % more current.
 # Each breaks a rule with this in it.
 DEVIATIONS = {
     "hot": "motor_temperature", "battery": "dc_voltage", "voltage": "dc_voltage", "slow": "rate", "lag": "rpm_error",
-    "reboot": "reboot=0", "overcurrent": "fault=0", "sensor": "motor_temperature.reserved=0.05",
+    "reboot": "reboot=0", "overcurrent": "fault=0", "sensor": "motor_temperature.special=0.05",
     "lost": "incomplete=0", "current": "dc_current", "noise": "rpm_error", "silence": "silence=0",
-    "worn": "dc_current.ratio", "saturated": "motor_state.only=running",
+    "worn": "dc_current.ratio",
 }  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def _controller(rng, odd, number, length, ambient, battery, phases, deviation):
         if is_late and deviation == "reboot":
             clock = -int(half * 1e9)
         faults = flights.OVERCURRENT if deviation == "overcurrent" and 0 < time - half < 0.5 else 0
-        state = 0x20 if faults else 0x12 if deviation == "saturated" and 0 < time - half < 5 else 2
+        state = 0x20 if faults else 2
         raw_motor = flights.NAN8 if is_late and deviation == "sensor" else flights.count(motor, -40, 210, 250)
         raw_speed = flights.count(measured, -60000, 60000, 65530)
         if odd and odd.random() < 0.01:
@@ -163,7 +163,7 @@ def test_what_stands_in_the_file(learnt):
     assert all(f"\nsource={name}\n" in text for name in NAMES.values())
     assert "\nabsent=0\nunknown=0\n" in text
     low, high, lowest, at_low, highest, at_high = re.search(
-        r"motor\.dc_voltage\.numbers=(.*)\.\.(.*?) +# (.*) in (good\d\.pcapng), (.*) in (good\d\.pcapng)", text
+        r"motor\.dc_voltage=(.*)\.\.(.*?) +# (.*) in (good\d\.pcapng), (.*) in (good\d\.pcapng)", text
     ).groups()
     assert float(low) < float(lowest) < float(highest) < float(high)
     export = ["tshark", "-q", "-r", learnt / at_low, "-X", f"lua_script:{PLUGIN}", *OPTIONS, "-z", "yapp,summary,json"]
@@ -189,15 +189,10 @@ def test_fields_with_the_names_of_measures(tmp_path, monkeypatch):
     learn(tmp_path, "a.log", "b.log", options=("-o", "yapp.pump_ids:0x340"))
     text = (tmp_path / "flight.rules").read_text()
     learnt = {name: ends for name, *ends in re.findall(r"^pump\.([\w.]+)=(?:(.+?)\.\.)?(\S+) ", text, re.M)}
-    assert learnt.keys() == {"rate.messages", "gap.messages"} | {
-        f"{name}.{what}" for name in ("rate", "gap", "mean", "spread") for what in ("numbers", "mean")
+    assert learnt.keys() == {"rate", "gap", "rate.value", "gap.value", "mean", "spread"} | {
+        f"{name}.mean" for name in ("rate", "gap", "mean", "spread")
     }
-    expected = {
-        "rate.messages": (10, 10),
-        "rate.numbers": (1000, 1009),
-        "rate.mean": (1004.5, 1004.5),
-        "mean.numbers": (0, 99),
-    }
+    expected = {"rate": (10, 10), "rate.value": (1000, 1009), "rate.mean": (1004.5, 1004.5), "mean": (0, 99)}
     for name, (lowest, highest) in expected.items():
         low, high = map(float, learnt[name])
         assert lowest - 30 < low <= lowest <= highest <= high < highest + 30, name
@@ -211,32 +206,6 @@ def test_an_enum_that_never_changed(learnt, tmp_path):
     other.write_text(text.replace("motor_mode=1..1", "motor_mode=0..0"))
     code, broken = judge(learnt / "good0.pcapng", other)
     assert (code, broken) == (20, [f"{name} motor.motor_mode=0..0" for name in NAMES.values()])
-
-
-def test_flags_that_were_never_set(tmp_path):
-    """Of a flight with faults, those that it has may be set; a message that never came has no rule."""
-    flights.write(tmp_path / "a.pcapng", 5, 20)
-    learn(tmp_path, "a.pcapng", options=OPTIONS[:4])
-    text = (tmp_path / "flight.rules").read_text()
-    faults = re.search(r"(?m)^motor\.fault_flags\.only=(\S*)$", text)[1].split("+")
-    export = [
-        "tshark",
-        "-q",
-        "-r",
-        tmp_path / "a.pcapng",
-        "-X",
-        f"lua_script:{PLUGIN}",
-        *OPTIONS[:4],
-        "-z",
-        "yapp,faults,json",
-    ]
-    done = subprocess.run(export, capture_output=True, text=True, check=False)
-    rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    assert set(faults) == {row["flag"] for row in rows if row["field"] == "fault_flags"}
-    assert faults
-    assert re.search(r"(?m)^health\.taurus_status\.only=\S", text)
-    assert "source=" not in text
-    assert judge(tmp_path / "a.pcapng", tmp_path / "flight.rules") == (0, [])
 
 
 def test_ratios():
@@ -276,48 +245,11 @@ def test_what_counts_have_room_for():
 )
 def test_the_share_of_reserved_values(seen, limit, is_rule):
     """As for counts; at least 5 %; no rule that every flight keeps."""
-    rule = baseline.Rule("", "m.x.reserved=0", lost="by all")
+    rule = baseline.Rule("", "m.x.special=0", lost="by all")
     rule.seen = [(Decimal(share), f"flight{number}") for number, share in enumerate(seen)]
     assert baseline._learn_share(rule, Decimal("0.1")) is is_rule
-    assert rule.text == f"m.x.reserved={limit}"
+    assert rule.text == f"m.x.special={limit}"
     assert (rule.lost, rule.comment) == (("", f"{seen[-1]} in flight{len(seen) - 1}") if seen else ("by all", ""))
-
-
-FLAGS = {
-    "messages": {
-        "m": {
-            "columns": [
-                {"name": "state", "type": "int", "kind": "flags", "filter": "taurus.m.state"},
-                {"name": "state_run", "type": "bool", "filter": "taurus.m.state.run"},
-                {"name": "state_hot", "type": "bool", "filter": "taurus.m.state.hot"},
-                {"name": "on", "type": "bool", "filter": "taurus.m.on"},
-                {"name": "text", "type": "text", "filter": "taurus.m.state.text"},
-                {"name": "own", "type": "bool"},
-            ]
-        }
-    }
-}
-
-
-def test_flags_of_good_flights():
-    """The gate is asked of each flag whether it is set; a source that is judged apart has a rule of its own."""
-    rules = baseline._flags(FLAGS)
-    assert rules == {"m.state.only=hot": ("m.state", "run"), "m.state.only=run": ("m.state", "hot")}
-    verdicts = [
-        {"source": source, "rule": rule, "seen": seen}
-        for source, rule, seen in (
-            ("a", "m.state.only=hot", 5), ("a", "m.state.only=run", 0), ("b", "m.state.only=hot", 0),
-            ("b", "m.state.only=run", 0), (None, "m.state.only=run", 1), ("c", "m.state.only=run", None),
-            ("a", "m.x.mean=1..2", 1),
-        )
-    ]  # fmt: skip
-    extremes = {("a", "m.x.mean"): [], ("b", "m.x.mean"): [], ("c", "n.x.mean"): []}
-    found = {rule.source: (rule.text, rule.comment) for rule in baseline._only(extremes, rules, {"one": verdicts})}
-    assert found == {
-        "a": ("m.state.only=run", ""),
-        "b": ("m.state.only=", "none was set"),
-        "": ("m.state.only=hot", ""),
-    }
 
 
 def test_what_the_gate_says_of_the_rules():
@@ -373,7 +305,7 @@ def test_without_names(learnt, tmp_path):
     assert "# absent=0: good1.pcapng does not keep it (no source is named" in narrow
     learn(tmp_path, learnt / "good0.pcapng", learnt / "good1.pcapng", "--margin", "50%", options=options)
     limits = [
-        float(re.search(r"motor_temperature\.numbers=.*\.\.(\S+)", text)[1])
+        float(re.search(r"motor_temperature=.*\.\.(\S+)", text)[1])
         for text in (narrow, (tmp_path / "flight.rules").read_text())
     ]
     assert limits[0] < limits[1]
@@ -384,11 +316,11 @@ def test_what_happens_in_good_flights_may_happen(tmp_path):
     flights.write(tmp_path / "a.pcapng", 5, 60)
     learn(tmp_path, "a.pcapng", options=OPTIONS[:4])
     text = (tmp_path / "flight.rules").read_text()
-    assert re.search(r"^motor\.rpm_measured\.numbers=", text, re.MULTILINE)
+    assert re.search(r"^motor\.rpm_measured=", text, re.MULTILINE)
     for rule in ("fault", "reboot", "silence", "incomplete"):
         (limit, seen) = re.search(rf"^{rule}=(\d+) +# (\d+) in a\.pcapng$", text, re.MULTILINE).groups()
         assert int(limit) >= int(seen) > 0
-    share = re.search(r"^motor\.esc_temperature\.reserved=(\S+) +# (\S+) in a\.pcapng$", text, re.MULTILINE)
+    share = re.search(r"^motor\.esc_temperature\.special=(\S+) +# (\S+) in a\.pcapng$", text, re.MULTILINE)
     assert float(share[1]) > float(share[2]) > 0
     assert judge(tmp_path / "a.pcapng", tmp_path / "flight.rules") == (0, [])
 

@@ -44,15 +44,15 @@ local function menu()
     self.read() -- while it reads, Wireshark draws the taps
     return ("%s, run %d"):format(argument, #seen.runs), self.frames
   end
-  package.loaded["yapp.stat.menu"] = nil
-  local show, on_packets = require("yapp.stat.menu").register(stat)
+  package.loaded["yapp.stat.windows"] = nil
+  local show, on_packets = require("yapp.stat.windows").register(stat)
   stat.read = on_packets
   return show, stat, on_packets
 end
 
 function T.tearDown()
   for _, name in ipairs(NAMES) do _G[name] = nil end
-  package.loaded["yapp.stat.menu"] = nil
+  package.loaded["yapp.stat.windows"] = nil
 end
 
 local function last(list) return list[#list] end
@@ -111,7 +111,7 @@ function T.test_help()
   local text = last(seen.windows).text
   for _, row in ipairs(OPENS) do lu.assertStrContains(text, "\n" .. row[1]) end
   for _, rule in ipairs { "motor.rate", "motor.dc_voltage" } do lu.assertStrContains(text, rule) end
-  for _, row in ipairs(require("yapp.stat.measures").LIST) do
+  for _, row in ipairs(require("yapp.stat.rules").LIST) do
     lu.assertStrContains(text, row.text)
     lu.assertStrContains(text, row.help)
   end

@@ -4,9 +4,9 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local can_id = require("yapp.wire.can_id")
 local catalogue_of = require("yapp.message.catalogue")
+local events_of = require("yapp.stat.events")
 local frame_key = require("yapp.base.frame_key")
 local generator = require("stream_generator")
-local intake_of = require("yapp.stat.intake")
 local lines = require("yapp.serial.lines")
 local reading_of = require("yapp.reading.reading")
 local records = require("yapp.reading.records")
@@ -20,6 +20,16 @@ local TAURUS = catalogue_of.compile(dofile("taurus_fields.lua"))
 local MOTOR, HEALTH, COMMAND = 0x210, 0x200, 0
 local LENGTHS = { [MOTOR] = 32, [HEALTH] = 17, [COMMAND] = 7 } -- of payloads, as the document has them
 
+local function events_in_words(results)
+  local list, texts = {}, {}
+  for _, result in ipairs(results) do events_of.append(list, result) end
+  for i, event in ipairs(list) do
+    local source = event.source
+    texts[i] = ("%s %s @%d"):format(event.kind, source.id and source.label or "line", event.frame)
+  end
+  return texts
+end
+
 -- A capture and what comes of it: { reading, events = list of words, number = of the latest packet }.
 -- with  { several = whether it has several buses }
 local function new_capture(with)
@@ -30,20 +40,12 @@ local function new_capture(with)
   }
   types:use(catalogue_of.assign(TAURUS, {}), (sources.parse("", TAURUS)), {}, function() end)
   types:reset(with and with.several or false)
-  local reading, intake = reading_of.new(types, buses, function() end), intake_of.new(TAURUS)
-  local events = {}
+  local reading, events = reading_of.new(types, buses, function() end), {}
   reading:reset { late = 3, catalogue = TAURUS, buses = buses }
-  intake:open {
-    offer = function(_, event)
-      local source = event.source
-      events[#events + 1] = ("%s %s @%d"):format(event.kind, source.id and source.label or "line", event.frame)
-    end,
-    add_undissected = function(_, event)
-      events[#events + 1] = ("%s %s @%d"):format(event.kind, event.source.label, event.frame)
-    end,
-  }
-  reading:listen(intake)
-  return { reading = reading, intake = intake, events = events, number = 0 }
+  reading:listen { report = function(_, result)
+    for _, text in ipairs(events_in_words { result }) do events[#events + 1] = text end
+  end }
+  return { reading = reading, events = events, number = 0 }
 end
 
 -- A payload of a message: its bytes count up, but for Motor Data, whose flags are 0.
@@ -152,7 +154,7 @@ function T.test_nobody_keeps_a_record_that_is_used_again()
   end
   local function run(spoils)
     local capture, events, said = new_capture(), {}, {}
-    capture.intake:open { offer = function(_, event) events[#events + 1] = event end }
+    capture.reading:listen { report = function(_, result) events_of.append(events, result) end }
     for pass = 1, 2 do
       for number, frame in ipairs(list) do
         local result = visit(capture, frame, { number = number, visited = pass == 2, wants_state = true })
@@ -318,12 +320,13 @@ function T.test_undissected_frames()
   report(words.can_id(0x324, 1, 3, 9), words.start(0x324, payload_of(MOTOR, 1))) -- no ID that is known, and a YAPP CTL
   report(words.can_id(COMMAND, 1, 0, 9), words.start(COMMAND, ("x"):rep(8)))
   report(words.can_id(COMMAND, 1, 0, 9), words.start(COMMAND, ("x"):rep(9)))
-  lu.assertEquals(capture.events, { "undissected ID 0x321 @1", "undissected Command @2", "undissected Command @9" })
+  lu.assertEquals(capture.events,
+    { "undissected ID 0x321 @1", "undissected Command @2", "undissected ID 0x323 @4", "undissected Command @9" })
   -- A byte behind the values of a single frame.
   report(words.can_id(COMMAND, 0, 0, 9), "\1\165" .. ("\0"):rep(5) .. "x")
   report(words.can_id(COMMAND, 0, 0, 9), "\165\1" .. ("\0"):rep(5) .. "x") -- no command
   report(words.can_id(COMMAND, 2, 0, 9), "\1\165" .. ("\0"):rep(5) .. "x") -- a Middle
-  lu.assertEquals({ #capture.events, capture.events[4] }, { 4, "undissected Command @10" })
+  lu.assertEquals({ #capture.events, capture.events[5] }, { 5, "undissected Command @10" })
 end
 
 -- Streams ------------------------------------------------------------------------------------------------------------
@@ -453,11 +456,7 @@ end
 -- The end ------------------------------------------------------------------------------------------------------------
 
 local function finish(capture, may_go_on)
-  local list = {}
-  for i, event in ipairs(capture.intake:finish(capture.reading:finish(may_go_on))) do
-    list[i] = ("%s %s @%d"):format(event.kind, event.source.label, event.frame)
-  end
-  return list
+  return events_in_words(capture.reading:finish(may_go_on))
 end
 
 function T.test_the_end()

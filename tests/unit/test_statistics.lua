@@ -8,15 +8,27 @@ local catalogue_of = require("yapp.message.catalogue")
 local dates_of = require("yapp.stat.dates")
 local input = require("yapp.base.input")
 local kinds_of = require("yapp.stat.kinds")
-local measures_of = require("yapp.stat.measures")
+local events_of = require("yapp.stat.events")
+local measures_of = require("yapp.stat.rules")
 local options_of = require("yapp.stat.options")
 local output = require("yapp.stat.output")
-local queue_of = require("yapp.stat.queue")
+local run_of = require("yapp.stat.run")
 local sources_of = require("yapp.message.sources")
 local faults_of = require("yapp.message.faults")
 local text_of = require("yapp.message.text")
 
 local T = {}
+
+-- Events stand for results here.
+local append = events_of.append
+function T.setUp()
+  function events_of.append(list, result) list[#list + 1] = result.event end
+end
+function T.tearDown() events_of.append = append end
+
+local function result_of(event)
+  return { kind = event.kind, frame = { number = event.frame, visited = false }, event = event }
+end
 
 -- A catalogue of three messages: a volt is a count, 255 is a reserved count.
 local CATALOGUE, PROBLEMS = catalogue_of.compile {
@@ -97,7 +109,7 @@ end
 local function run(arguments, records, with)
   with = with or {}
   local settings = settings_of(with)
-  local printed, queue, matched = {}, queue_of.new(settings, with.hint), {}
+  local printed, queue, matched = {}, run_of.new(settings, with.hint), {}
   for _, argument in ipairs(arguments) do
     local options = options_of.parse("yapp," .. argument, settings.catalogue)
     if not argument:find("^check") then lu.assertEquals(options.problems, {}) end
@@ -110,15 +122,17 @@ local function run(arguments, records, with)
     matched = queue:add(statistic, options).matched
   end
   queue.dates:set_first(with.epoch or 1700000000, 5, 0)
-  local function lacks_clock() return with.lacks_clock end
+  local function has_clock() return not with.lacks_clock end
   add_faults(records)
   for _, one in ipairs(records) do
-    if one.kind == "undissected" then queue:add_undissected(one) else queue:offer(one, false) end
+    queue:report(result_of(one))
     if with.matches and with.matches[one.frame] then rawset(matched, one.frame, true) end
-    queue:packet(one.frame, one.time, lacks_clock)
+    queue:packet(one.frame, one.time, has_clock)
   end
-  if with.last then queue:packet(9999, with.last, lacks_clock) end
-  local code, texts = queue:finish { unfinished = with.unfinished or {}, drops = with.drops or {},
+  if with.last then queue:packet(9999, with.last, has_clock) end
+  local results = {}
+  for i, one in ipairs(with.unfinished or {}) do results[i] = result_of(one) end
+  local code, texts = queue:finish { results = results, drops = with.drops or {},
     problems = { with.unread }, unread = with.unread,
     lacks_times = with.lacks_times, extended = with.extended or 0, can = with.can or 0, certain = with.certain }
   return table.concat(printed), code, texts
@@ -486,8 +500,8 @@ function T.test_check_ranges()
     ["11..59"] = "false 2 1", ["..39.5"] = "false 2 3", ["-1e3..1E+2"] = "true 0 null" } do
     lu.assertEquals(verdicts("motor.volts=" .. range, records)[1], ("motor.volts=%s left %s"):format(range, expected))
   end
-  records[4] = record(4, 3, { payload = payload(255) }) -- a reserved count is outside
-  lu.assertEquals(verdicts("motor.volts=0..", records)[1], "motor.volts=0.. left false 1 4")
+  records[4] = record(4, 3, { payload = payload(255) }) -- a reserved count is no number
+  lu.assertEquals(verdicts("motor.volts=0..", records)[1], "motor.volts=0.. left true 0 null")
   lu.assertEquals(verdicts("motor.mode=3..3,motor.fault_flags=..0,motor.clock=4.5..4.5", records), {
     "motor.mode=3..3 left true 0 null", "motor.fault_flags=..0 left true 0 null",
     "motor.clock=4.5..4.5 left true 0 null", "unknown=0 null true 0 null" })
@@ -722,13 +736,12 @@ function T.test_silences()
 end
 
 function T.test_bytes_of_no_frame()
-  local records = { record(1, 0), skipped(2, 0.1), skipped(3, 0.2) }
+  local records = { record(1, 0), skipped(2, 0.1), lost(2, 0.15, "orphan", { line = STREAM, id = 1 }), skipped(3, 0.2) }
   lu.assertEquals(found("events,json", "skipped", records), { '{"kind":"skipped",,"length":5}', '{"kind":"skipped",,"length":5}' })
   lu.assertStrContains(run({ "events" }, records), "5 bytes of no frame")
   lu.assertStrContains(run({ "summary,json" }, records), '{"bus":"ttyA","id":null,"source":null,"message":null,"count":0,')
   lu.assertStrContains(run({ "summary,json" }, records), '"skipped":2,')
-  lu.assertEquals(verdicts("skipped=1,incomplete=0", records),
-    { "skipped=1 null false 2 2", "incomplete=0 left true 0 null", "unknown=0 null true 0 null" })
+  lu.assertEquals(verdicts("skipped=1", records), { "skipped=1 null false 2 2", "unknown=0 null true 0 null" })
   lu.assertEquals({ verdicts("skipped=0", { record(1, 0) }) }, { { "skipped=0 null true 0 null",
     "unknown=0 null true 0 null" }, 0, {} })
   lu.assertEquals(select(2, verdicts("skipped=0", {})), 21)
@@ -756,19 +769,21 @@ function T.test_sources_that_never_came()
   lu.assertEquals(select(2, verdicts("absent=0", records)), 21) -- nobody is named with a message
 end
 
-function T.test_reserved_values_and_numbers()
+-- A range judges numbers; how many values may be none is a rule of its own.
+function T.test_reserved_values()
   local records = { record(1, 0, { payload = payload(10) }), record(2, 1, { payload = payload(255) }),
     record(3, 2, { payload = payload(12) }), record(4, 3, { payload = payload(11) }) }
-  lu.assertEquals(verdicts("motor.volts=10..12,motor.volts.numbers=10..12,motor.volts.numbers=..11", records), {
-    "motor.volts=10..12 left false 1 2", "motor.volts.numbers=10..12 left true 0 null",
-    "motor.volts.numbers=..11 left false 1 3", "unknown=0 null true 0 null" })
-  lu.assertEquals(verdicts("motor.volts.reserved=0.25,motor.volts.reserved=0.2", records), {
-    "motor.volts.reserved=0.25 left true 0.25 null", "motor.volts.reserved=0.2 left false 0.25 null",
+  lu.assertEquals(verdicts("motor.volts=10..12,motor.volts=..11,motor.volts.special=0.25,motor.volts.special=0.2", records), {
+    "motor.volts=10..12 left true 0 null", "motor.volts=..11 left false 1 3",
+    "motor.volts.special=0.25 left true 0.25 null", "motor.volts.special=0.2 left false 0.25 null",
     "unknown=0 null true 0 null" })
   local none = { record(1, 0, { payload = payload(255) }) }
-  lu.assertEquals(select(2, verdicts("motor.volts.numbers=10..12", none)), 21)
-  lu.assertEquals(select(2, verdicts("motor.volts.reserved=1", none)), 0)
-  lu.assertEquals(select(2, verdicts("motor.volts.reserved=1", {})), 21)
+  for rules, code in pairs { ["motor.volts=10..12"] = 21, ["motor.volts=10..12,motor.volts.special=1"] = 0,
+    ["motor.volts=10..12,motor.mode.special=1"] = 21, ["motor.volts=10..12,source=right,motor.volts.special=1"] = 21,
+    ["motor.volts=10..12,motor.volts.special=0.5"] = 20, ["motor.volts.special=1"] = 0 } do
+    lu.assertEquals(select(2, verdicts(rules, none)), code, rules)
+  end
+  lu.assertEquals(select(2, verdicts("motor.volts.special=1", {})), 21)
 end
 
 function T.test_mean()
@@ -786,10 +801,10 @@ function T.test_unread_packets_may_mend_a_rule()
   local records = { record(1, 0), record(2, 0, { source = RIGHT, payload = payload(20) }),
     record(3, 1, { payload = payload(255) }), bad(4, 2) }
   local with = { unread = "not all packets were read", named = NAMED }
-  local rules = { ["motor.volts=..9"] = "false", ["motor.volts.numbers=..9"] = "false", ["motor.volts.spread=1"] = "false",
+  local rules = { ["motor.volts=..9"] = "false", ["motor.volts.spread=1"] = "false",
     ["motor.gap=0.5"] = "false", ["crc=0"] = "false", ["motor.volts.mean=..9"] = "null", ["motor.volts.ratio=..0.1"] = "null",
-    ["motor.volts.reserved=0.1"] = "null", ["motor.rate=..0.1"] = "null", ["absent=0"] = "null", ["motor.count=9"] = "null",
-    ["motor.volts.numbers=..30"] = "null" }
+    ["motor.volts.special=0.1"] = "null", ["motor.rate=..0.1"] = "null", ["absent=0"] = "null", ["motor.count=9"] = "null",
+    ["motor.volts=..30"] = "null" }
   local judged = 0
   for rule, ok in pairs(rules) do
     local is_of_all = rule:find("spread") ~= nil
@@ -800,7 +815,7 @@ function T.test_unread_packets_may_mend_a_rule()
       end
     end
   end
-  lu.assertEquals(judged, 12)
+  lu.assertEquals(judged, 11)
 end
 
 -- LEFT has 10 and 14 V, three others 8, 9 and 5 V: 12 is 1.5 times their median, 5 is 5 / 9 of theirs.
@@ -831,27 +846,15 @@ end
 
 -- Each rule about values but that of all sources is not judged, and says why, if its source has no good message.
 function T.test_rules_without_a_value()
-  local rules = { gap = "motor.gap=1", range = "motor.volts=1..2", numbers = "motor.volts.numbers=1..2", mean = "motor.volts.mean=1..2",
-    ratio = "motor.volts.ratio=1..2", reserved = "motor.volts.reserved=0.5", only = "motor.fault_flags.only=hot" }
-  for _, row in ipairs(require("yapp.stat.measures").LIST) do
+  local rules = { gap = "motor.gap=1", range = "motor.volts=1..2", mean = "motor.volts.mean=1..2",
+    ratio = "motor.volts.ratio=1..2", special = "motor.volts.special=0.5" }
+  for _, row in ipairs(measures_of.LIST) do
     if row.name ~= "count" and row.name ~= "rate" and row.scope ~= "capture" then
       local printed, code = run({ "check,source=left,crc=9," .. rules[row.name] }, { bad(1, 0) })
       lu.assertStrContains(printed, "no good message of it was decoded", false, row.name)
       lu.assertEquals(code, 21, row.name)
     end
   end
-end
-
-function T.test_only_some_flags()
-  local records = { record(1, 0), record(2, 1, { payload = payload(10, 0x81) }), record(3, 2, { payload = payload(10, 0x7) }),
-    record(4, 3, { source = RIGHT, payload = payload(10, 0x4) }) } -- 0x4 is a bit of stall, 0x80 of level
-  lu.assertEquals(verdicts("motor.fault_flags.only=stall,motor.fault_flags.only=,motor.fault_flags.only=stall+hot", records), {
-    "motor.fault_flags.only=stall left false 2 2", "motor.fault_flags.only=stall null true 0 null",
-    "motor.fault_flags.only= left false 2 3", "motor.fault_flags.only= null false 1 4",
-    "motor.fault_flags.only=stall+hot left true 0 null", "motor.fault_flags.only=stall+hot null true 0 null",
-    "unknown=0 null true 0 null" })
-  lu.assertStrContains(run({ "check,motor.fault_flags.only=" }, records), "hot, stall, of 3 values")
-  lu.assertEquals(select(2, verdicts("motor.fault_flags.only=hot", {})), 21)
 end
 
 function T.test_spread()
@@ -877,56 +880,6 @@ volts  V     can"1 0x210   12    105.5  199     188       0.350000      5
              left          10  73.6667  200
 ]])
   lu.assertEquals(run({ "compare" }, { record(1, 0) }), "YAPP compare: no message has several sources\n")
-end
-
--- Of three and more, a value that is far from the median of the others is marked; sources stand in the order of their names.
-function T.test_compare_marks_what_is_far_from_the_others()
-  local records = {}
-  for i, name in ipairs { "M10", "M2", "M1", "M3" } do
-    local source = { key = name, bus_key = 1, bus = "can0", id = 0x20F + i, name = name, type = MOTOR }
-    records[i] = record(i, i / 100, { source = source, payload = payload(100) })
-    records[i + 4] = record(i + 4, 1 + i / 100, { source = source, payload = payload(name == "M2" and 150 or 101) })
-  end
-  lu.assertEquals(run({ "compare" }, records), [[
-YAPP compare: 4 sources of Motor Data
-
-field  unit  source  min   mean  max  far from the others  spread  since start/s  frame
-volts  V     M1      100  100.5  101                           49       1.020000      6
-             M2      100    125  150  ▲ mean ▲ max
-             M3      100  100.5  101
-             M10     100  100.5  101
-]])
-  local shown = run({ "compare" }, records, { frames = {} })
-  lu.assertStrContains(shown, "volts  V     M1      100  101           49\n             M2      100  150  ▲\n")
-end
-
--- What a source did before it fell silent is no measure for the others, and is not far from them because it is a part.
-function T.test_compare_says_who_fell_silent()
-  local records = {}
-  for i, name in ipairs { "M1", "M2", "M3", "M4", "M5" } do
-    local source = { key = name, bus_key = 1, bus = "can0", id = 0x20F + i, name = name, type = MOTOR }
-    local ends = name == "M4" and 1 or name == "M5" and 2 or 9
-    for second = 0, 9 do
-      local volts = name == "M5" and second == 2 and 190 or 100 + second
-      if second <= ends then
-        records[#records + 1] = record(10 * second + i, second + i / 100, { source = source, payload = payload(volts) })
-      end
-    end
-  end
-  table.sort(records, function(a, b) return a.frame < b.frame end)
-  local shown = run({ "compare" }, records)
-  lu.assertStrContains(shown, "M3      100    104.5  109\n")
-  lu.assertStrContains(shown, "M4      100    100.5  101  silent\n")
-  lu.assertStrContains(shown, "M5      100  130.333  190  ▲ max silent\n")
-  lu.assertStrContains(run({ "compare" }, records, { frames = {} }), "M5      100  190  ▲ silent\n")
-end
-
--- Longer than late * every, 0.25 s of Motor Data.
-function T.test_compare_says_from_when_on_a_source_is_silent()
-  for last, is_silent in pairs { [0.24] = false, [0.26] = true } do
-    local shown = run({ "compare" }, { record(1, 0), record(2, 0, { source = RIGHT }), record(3, last) })
-    lu.assertEquals(shown:find("silent", 1, true) ~= nil, is_silent, last)
-  end
 end
 
 -- How long a source is silent at the end.
@@ -1039,8 +992,11 @@ local function unknown(frame, bus, id, size, with)
   return record(frame, frame, { source = source, payload = ("\0"):rep(size), fits = false })
 end
 
--- The lines behind the title of faults.
-local function said(records, with) return lines((run({ "faults" }, records, with)):gsub("\n\n.*", "")) end
+-- The title of faults, without the sources that were not decoded, and the lines behind it.
+local function said(records, with)
+  local printed = run({ "faults" }, records, with):gsub("\n\n.*", "")
+  return lines((printed:gsub("UNKNOWN, .- not decoded, (%d+) in what was decoded", "%1")))
+end
 
 function T.test_messages_that_were_not_decoded()
   local records = { unknown(1, "can1", 0x212, 11), unknown(2, "can0", 0x213, 11), unknown(3, "can1", 0x211, 11),
@@ -1050,7 +1006,7 @@ function T.test_messages_that_were_not_decoded()
   lu.assertEquals(said(records), { "YAPP faults: 0", text })
   for _, what in ipairs(AS_DATA) do
     local printed, code, texts = run({ what }, records)
-    lu.assertEquals({ texts, code }, { { text }, 0 }, what)
+    lu.assertEquals({ texts, code }, { { text }, what == "faults,json" and 21 or 0 }, what)
     lu.assertNotStrContains(printed, "decoded")
   end
   for _, what in ipairs(IN_TEXT) do
@@ -1119,6 +1075,7 @@ end
 
 function T.test_sizes_that_no_preference_decodes()
   local short = record(2, 0, { payload = payload(10):sub(1, 9), fits = false })
+  short.time = 2
   lu.assertEquals(said({ unknown(1, "", 0x300, 20), short }), { "YAPP faults: 0",
     "2 messages were not decoded: 0x300 (20 bytes, the size of no known message); can0 0x210 (9 bytes, Motor Data has 11)" })
   local twin = { name = "twin", title = "Twin", id = 0x400, size = 15, { "text", "string", "Text", length = 15 } }
@@ -1139,22 +1096,7 @@ end
 
 function T.test_a_yapp_ctl_other_than_0()
   lu.assertEquals(said({ unknown(1, "", 0x210, 11, { type = MOTOR }) }), { "YAPP faults: 0", "1 message was not decoded: " ..
-    "0x210 (11 bytes, Motor Data with a YAPP CTL other than 0). Try -o yapp.all_extended:TRUE" })
-end
-
--- A shell takes the option as it is, whatever a bus is called.
-function T.test_a_preference_is_safe_to_paste()
-  for name, quote in pairs { ["can'0"] = '"', ["USB 'left'"] = "'", ["$(id)"] = "'", ["`id`"] = "'", ["a!b"] = "'", ["a\\"] = "'",
-    ["a$HOME'b'"] = "'" } do
-    local records = { unknown(1, name, 0x300, 11), unknown(2, name, 0x301, 11), unknown(3, "other", 0x300, 8) }
-    local option = said(records)[2]:match("%-o (.yapp%.sources:.*)$")
-    lu.assertEquals(option:sub(1, 1), quote)
-    local shell = assert(io.popen("printf %s " .. option))
-    local text = shell:read("*a")
-    shell:close()
-    local bus = sources_of.address_text(name, 0x300)
-    lu.assertEquals(text, ("yapp.sources:%s=motor:,other/0x300=health:"):format(bus))
-  end
+    "0x210 (11 bytes, Motor Data with a YAPP CTL other than 0, see yapp.all_extended)" })
 end
 
 function T.test_preferences_that_decode()
@@ -1167,13 +1109,9 @@ function T.test_preferences_that_decode()
     { name = "two", title = "Two", id = 2, size = 3, { "a", "uint24", "A" } } }
   lu.assertEquals(said({ unknown(1, "a", 0x300, 3) }, { catalogue = catalogue })[2], "1 message was not decoded: a 0x300 " ..
     "(3 bytes, the size of One and of Two). Try -o yapp.one_ids:0x1,0x300 or -o yapp.two_ids:0x2,0x300")
-  -- one ID, several messages
-  local records = { unknown(1, "a", 0x300, 11), unknown(2, "b", 0x300, 8) }
-  lu.assertEquals(advice(records), '-o "yapp.sources:a/0x300=motor:,b/0x300=health:"')
-  lu.assertEquals(advice(records, { sources_text = "can2=tail" }), '-o "yapp.sources:can2=tail,a/0x300=motor:,b/0x300=health:"')
-  records = { unknown(1, "USB, left", 0x210, 8, { type = MOTOR, name = "left" }) }
-  lu.assertEquals(advice(records), [[-o 'yapp.sources:"USB, left"/0x210=health:left']])
-  lu.assertNil(advice(records, { sources_text = '"USB, left"/0x210=motor:left' })) -- what stands there holds
+  -- one ID, several messages: no preference of IDs tells them apart
+  lu.assertNil(advice({ unknown(1, "a", 0x300, 11), unknown(2, "b", 0x300, 8) }))
+  lu.assertNil(advice({ unknown(1, "a", 0x210, 8, { type = MOTOR }) }))
   -- two sizes of one source
   lu.assertEquals(advice { unknown(1, "a", 0x300, 11), unknown(2, "a", 0x300, 20) }, "-o yapp.motor_ids:0x210,0x300")
 end
@@ -1377,17 +1315,15 @@ function T.test_names_cannot_collide()
     local is_measure = input.find(measures_of.OF_MESSAGE, name) ~= nil
     local field, rule, problem = catalogue.messages[1].by_name[name], rule_of(("%s.%s=3..4"):format(name, name))
     if is_measure then
-      lu.assertStrContains(problem, ("%s has a field %s: write %s.value for it, %s.messages"):format(name, name, name, name))
-      lu.assertEquals(rule_of(("%s.%s.messages=3"):format(name, name)).kind.name, name)
+      lu.assertStrContains(problem or rule.kind.name, name)
     else
-      lu.assertEquals({ rule.want.field, rule.kind.name }, { field, "range" })
+      lu.assertEquals({ rule.field, rule.kind.name }, { field, "range" })
     end
-    lu.assertEquals(rule_of(("%s.%s.value=3..4"):format(name, name)).want.field, field)
+    lu.assertEquals(rule_of(("%s.%s.value=3..4"):format(name, name)).field, field)
     lu.assertEquals(rule_of(("%s.%s.spread=3"):format(name, name)).kind.name, "spread")
     if kinds_of.BY_NAME[name] and not kinds_of.BY_NAME[name].counts_as then
       lu.assertEquals(rule_of(name .. "=0").kind.name, name) -- the kind of event, whatever messages are called
     end
-    lu.assertEquals(options_of.parse("yapp,csv,-," .. name, catalogue).chosen, catalogue.messages[1])
     local taken = {}
     for _, column in ipairs(text_of.columns(catalogue.messages[1])) do
       lu.assertNil(taken[column.name])
@@ -1414,50 +1350,26 @@ function T.test_copies()
   lu.assertEquals(verdicts("copies=2", records)[2], "copies=2 null true 0 null")
   for _, one in ipairs(verdicts("", records)) do lu.assertNil(one:find("copies")) end
   lu.assertEquals(run({ "events" }, { records[1], records[2] }),
-    "YAPP events: 0\n1 message was recorded twice; it counts once\n")
+    "YAPP events: 0\n1 message was recorded twice; each counts once\n")
   lu.assertNil(run({ "summary" }, { records[1] }):find("recorded"))
 end
 
 -- Two recorders: the stamps of LEFT are 6.2 s ahead of those of RIGHT.  A fault of 0.2 s lasts 0.2 s, no gap is
--- longer than 0.1 s, and no time since the start is negative.
+-- longer than 0.1 s and nobody is silent, whoever's packet comes last; the steps back are events, and are said.
 function T.test_stamps_of_two_recorders_that_alternate()
-  local records = {}
-  for i = 0, 9 do
-    local bits = (i == 3 or i == 4) and 1 or 0
-    local change = i == 3 and raised(1, 1) or i == 5 and raised(0, 0, 1) or nil
-    records[#records + 1] = record(#records + 1, i * 0.1, { payload = payload(10, bits), change = change })
-    records[#records + 1] = record(#records + 1, i * 0.1 - 6.2, { source = RIGHT })
-  end
-  lu.assertEquals(found("faults,json", "fault", records, {})[2]:match('"active":([%d.]+)'), "0.200000000")
-  for _, where in ipairs { "left", "null" } do
-    for _, row in ipairs(verdicts("motor.gap=0.11,silence=0", records)) do
-      lu.assertFalse(row:find("false", 1, true) and row:find(where, 1, true) or false, row)
+  for count = 19, 20 do
+    local records = {}
+    for i = 0, count - 1 do
+      local k = math.floor(i / 2)
+      local bits = (k == 3 or k == 4) and 1 or 0
+      local change = k == 3 and raised(1, 1) or k == 5 and raised(0, 0, 1) or nil
+      records[i + 1] = i % 2 == 0 and record(i + 1, k * 0.1, { payload = payload(10, bits), change = change }) or
+        record(i + 1, k * 0.1 - 6.2, { source = RIGHT })
     end
-  end
-  lu.assertNil(run({ "events" }, records):find(" %-%d"))
-  lu.assertEquals(#found("events,json", "clock", records, {}), 10)
-end
-
--- The stamps of RIGHT are so many seconds ahead.  The capture ends with LEFT, or with RIGHT: nobody is silent to the end.
--- RIGHT is, if it stops 0.5 s before the end.
-function T.test_the_last_silence_by_the_stamps_of_two_recorders()
-  for _, ahead in ipairs { 6.2, -6.2, 0.35, -0.35, 3600 } do
-    for _, count in ipairs { 20, 16 } do
-      local records = {}
-      for i = 0, 20 do
-        records[#records + 1] = record(#records + 1, i * 0.1)
-        if i <= count then records[#records + 1] = record(#records + 1, i * 0.1 + 0.01 + ahead, { source = RIGHT }) end
-      end
-      local is_silent = count < 20
-      for _, row in ipairs(verdicts("silence=0,motor.gap=0.15", records)) do
-        local is_wrong = row:find("false", 1, true) ~= nil
-        lu.assertEquals(is_wrong, is_silent and row:find("left", 1, true) == nil and row:find("unknown") == nil,
-          ahead .. " " .. row)
-      end
-      -- Three may hide faults; of two recorders' stamps a tenth of a second is not sure.
-      local missing = tonumber((said(records)[2] or "0 missing by"):match("(%d+) missing by"))
-      if is_silent then lu.assertTrue(missing == 2 or missing == 3, ahead) else lu.assertEquals(missing, 0, ahead) end
-    end
+    lu.assertEquals(found("faults,json", "fault", records, {})[2]:match('"active":([%d.]+)'), "0.200000000")
+    lu.assertEquals(select(2, verdicts("motor.gap=0.11,silence=0,motor.rate=9..11", records)), 0)
+    lu.assertEquals(#found("events,json", "clock", records, {}), math.floor(count / 2))
+    lu.assertStrContains(said(records)[2], "time stamps went back")
   end
 end
 
@@ -1467,23 +1379,6 @@ function T.test_a_clock_that_goes_back_for_good()
   for i = 0, 10 do records[i + 4] = record(i + 4, -5 + i / 10, { source = RIGHT }) end
   local found_rules = verdicts("silence=0", records, { last = -4 })
   lu.assertEquals({ found_rules[1], found_rules[2] }, { "silence=0 left false 1 3", "silence=0 null true 0 null" })
-end
-
--- A clock that begins anew at 0: of 2^32 microseconds, of a day.  What is missing to its end is the time that went by.
-function T.test_a_clock_that_wraps()
-  for _, wrap in ipairs { 4294.967296, 86400 } do
-    local records = {}
-    for i = 0, 9 do
-      local change = i == 3 and raised(1, 1) or i == 7 and raised(0, 0, 1) or nil
-      records[i + 1] = record(i + 1, (wrap - 0.45 + i * 0.1) % wrap,
-        { payload = payload(10, i >= 3 and i < 7 and 1 or 0), change = change })
-    end
-    lu.assertEquals(found("faults,json", "fault", records, {})[2]:match('"active":([%d.]+)'), "0.400000000")
-    lu.assertEquals(#found("events,json", "clock", records, {}), 1)
-    local text = run({ "summary" }, records)
-    lu.assertStrContains(text, ("1 source in %.3f s"):format(wrap + 0.45)) -- 0 was the first packet's time
-    lu.assertEquals(verdicts("motor.rate=9.999..10.001", records)[1]:match("true") , "true")
-  end
 end
 
 function T.test_the_clock_of_the_capture()
@@ -1584,7 +1479,7 @@ function T.test_packets_without_time_stamps()
     lu.assertStrContains(printed, "packets of this capture have no time stamps")
     judged[rule:match("(%l+)=")] = true
   end
-  for _, rows in ipairs { kinds_of.LIST, require("yapp.stat.measures").LIST } do
+  for _, rows in ipairs { kinds_of.LIST, measures_of.LIST } do
     for _, row in ipairs(rows) do lu.assertEquals(judged[row.name], row.needs_time, row.name) end
   end
   lu.assertEquals(select(2, verdicts("fault=0,crc=0,motor.count=2,motor.volts=..10", records, with)), 0)
@@ -1634,7 +1529,7 @@ function T.test_options()
   lu.assertEquals(read_options("csv,-,motor,all").chosen, MOTOR)
   lu.assertEquals(read_options("check,crc=0,junit=a=b.xml").junit, "a=b.xml")
   options = read_options("check, fault = 0 ,motor.volts = 1 .. 2 , filter = a == 1")
-  lu.assertEquals({ options.rules[1].text, options.rules[2].text, options.rules[2].want.high, options.filter, options.problems },
+  lu.assertEquals({ options.rules[1].text, options.rules[2].text, options.rules[2].range.high, options.filter, options.problems },
     { "fault=0", "motor.volts=1..2", 2, " a == 1", {} })
   lu.assertEquals({ read_options("csv, a b , all").folder, read_options("summary , json").json }, { "a b", true })
 end
@@ -1683,9 +1578,6 @@ function T.test_wrong_options_are_named()
     ["check,source=x,motor.volts.spread=1"] = "motor.volts.spread=1: a spread is of all sources, not of one",
     ["check,motor.volts.spread=-1"] = 'motor.volts.spread=-1: "-1" is not a spread',
     ["check,motor.volt.spread=1"] = 'motor.volt.spread=1: motor has no field "volt", but volts, fault_flags, mode, clock',
-    ["check,motor.volts.only=hot"] = "motor.volts.only=hot: motor.volts has no flags",
-    ["check,motor.fault_flags.only=hot+cold"] =
-      'motor.fault_flags.only=hot+cold: motor.fault_flags has no flag "cold", but hot, stall',
     ["check,motor.volts.ratio=1"] = "motor.volts.ratio=1: a range is A..B, A.. or ..B",
     ["check,source="] = "source=: it is empty",
     ["check,junit="] = "junit=: it is empty",
@@ -1740,9 +1632,6 @@ function T.test_a_file_of_rules()
       lu.assertEquals(select(2, read_file("fault=0\nsource=left\n", more)),
         { ("rules=%s: no rule follows source=left: it is for those behind it"):format(path) })
     end
-    local longest = "fault=0\n" .. ("#"):rep(2 ^ 20 - 9) -- a byte less than 1 MiB
-    lu.assertEquals({ read_file(longest) }, { "fault=0 unknown=0", {} })
-    lu.assertEquals({ read_file(longest .. "#") }, { "unknown=0", { ("rules=%s: the file is too long"):format(path) } })
     for _, empty in ipairs { "", "# fault=0\n\n" } do
       lu.assertEquals({ read_file(empty) }, { "unknown=0", { ("rules=%s: there is no rule in it"):format(path) } })
     end

@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Statistics between Wireshark and their queue: taps, what the end is told, exit codes.  Wireshark's API,
+-- Statistics between Wireshark and their run: taps, what the end is told, exit codes.  Wireshark's API,
 -- the queue and the dissectors are stand-ins here; tests/e2e and tests/gui have the real ones.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
@@ -7,7 +7,7 @@ local lu = require("luaunit")
 local T = {}
 
 local NAMES = { "gui_enabled", "Listener", "Dir", "retap_packets", "all_field_infos" }
-local MODULES = { "yapp.stat.taps", "yapp.stat.menu", "yapp.stat.queue", "yapp.capture.command_line" }
+local MODULES = { "yapp.stat.taps", "yapp.stat.windows", "yapp.stat.run", "yapp.capture.command_line" }
 local PACKETS = 4
 local real = { exit = os.exit, stdout = io.stdout, stderr = io.stderr }
 
@@ -24,11 +24,11 @@ local function new_tap(name, filter)
 end
 
 local function new_queue(settings, hint)
-  local queue = { settings = settings, hint = hint, packets = 0, is_direct = false }
+  local queue = { settings = settings, hint = hint, packets = 0 }
   seen.queue = queue
-  function queue.packet(self, number, rel, lacks_clock)
+  function queue.packet(self, number, rel, has_clock)
     self.packets = self.packets + 1
-    table.insert(seen.packets, { number, rel, lacks_clock() })
+    table.insert(seen.packets, { number, rel, has_clock() })
   end
   queue.dates = { set_first = function(_, ...) seen.begins = { ... } end }
   function queue.reset() seen.resets = seen.resets + 1 end
@@ -38,10 +38,7 @@ local function new_queue(settings, hint)
     return { matched = seen.matched }
   end
   function queue.stop() seen.has_stopped = true end
-  function queue.begin_direct() return wireshark.is_direct end
-  function queue.end_packets() seen.is_over = true end
   function queue.finish(_, capture)
-    lu.assertTrue(seen.is_over)
     seen.capture = capture
     if wireshark.fails then error("finish failed", 0) end
     return wireshark.code, wireshark.texts
@@ -78,13 +75,11 @@ local function new_stat(is_gui)
     seen.may_go_on = may_go_on
     return { "results" }
   end
-  local intake = stand_in("intake", {})
-  function intake.finish(_, results) return { "unfinished", results[1] } end
   local deferral = stand_in("deferral", { number = false, is_undecided = false, extended = 7, can = 9 })
   function deferral.open(_, on_note) seen.on_note = on_note end
   local parts = {
     settings = { catalogue = { messages = {}, by_name = {} }, version = "1" },
-    intake = intake, buses = buses, reading = reading, deferral = deferral,
+    buses = buses, reading = reading, deferral = deferral,
     builder = stand_in("builder", { wanted = "wanted" }),
     calls = { begun = 0, ended = 0 },
     frames = { is_second_pass = function() return wireshark.is_second_pass end },
@@ -96,7 +91,7 @@ local function new_stat(is_gui)
   }
   function _G.gui_enabled() return is_gui end
   package.loaded["yapp.stat.taps"] = nil
-  package.loaded["yapp.stat.queue"] = { new = new_queue }
+  package.loaded["yapp.stat.run"] = { new = new_queue }
   package.loaded["yapp.capture.command_line"] = {
     options = function() return wireshark.options end,
     count_later_files = function(_, since)
@@ -104,7 +99,7 @@ local function new_stat(is_gui)
       return wireshark.later_files
     end,
   }
-  package.loaded["yapp.stat.menu"] = { register = function(stat)
+  package.loaded["yapp.stat.windows"] = { register = function(stat)
     seen.menu = stat
     local function show(text) seen.shown = text end
     return show, function() seen.drawn = true end
@@ -114,7 +109,7 @@ end
 
 function T.setUp()
   seen = { taps = {}, order = {}, packets = {}, resets = 0, watched = 0, stderr = {}, stdout = {}, folders = {},
-    buses = {}, reading = {}, intake = {}, deferral = {}, builder = {} }
+    buses = {}, reading = {}, deferral = {}, builder = {} }
   wireshark = { packets = PACKETS, code = 0, texts = {}, options = {}, later_files = 0 }
   _G.Listener = { new = new_tap }
   _G.Dir = { make = function(path) table.insert(seen.folders, path) end, exists = function() return false end }
@@ -155,7 +150,7 @@ function T.test_what_the_end_is_told()
   local stat = window()
   lu.assertEquals({ stat:run("yapp,faults") }, { "", {} })
   lu.assertEquals(seen.capture, {
-    unfinished = { "unfinished", "results" },
+    results = { "results" },
     drops = { "of the buses", "of streams" },
     lacks_times = true,
     options = { "-d some" },
@@ -166,7 +161,7 @@ function T.test_what_the_end_is_told()
     problems = {},
   })
   lu.assertEquals(seen.may_go_on, true) -- packets may be revisited
-  lu.assertEquals(seen.packets[3], { 3, 0.3, true })
+  lu.assertEquals(seen.packets[3], { 3, 0.3, false })
   lu.assertEquals(seen.added[2].what, "faults")
 end
 
@@ -202,12 +197,11 @@ function T.test_a_reading_ends_whole()
     stat:run("yapp,faults")
     lu.assertEquals({ next(seen.taps) or seen.begins, seen.watched }, { { 17, 5, 0.1 }, 0 }, run)
     lu.assertEquals(seen.reading[#seen.reading], { "listen", false })
-    lu.assertEquals({ seen.deferral[#seen.deferral], seen.intake[#seen.intake] }, { { "close" }, { "close" } })
+    lu.assertEquals(seen.deferral[#seen.deferral], { "close" })
     lu.assertEquals(seen.queue.packets, PACKETS)
   end
   lu.assertEquals(seen.reading[1][1], "listen")
-  lu.assertIs(seen.reading[1][2], stat.intake)
-  lu.assertEquals(seen.intake[1][1], "open")
+  lu.assertIs(seen.reading[#seen.reading - 1][2], stat.current)
 end
 
 function T.test_a_window_while_another_one_reads()
@@ -366,15 +360,13 @@ end
 
 function T.test_several_statistics_have_one_reading()
   tshark("yapp,faults", "yapp,summary")
-  lu.assertEquals({ count_of(seen.intake, "open"), seen.watched, seen.queue.packets }, { 1, 1, PACKETS })
+  lu.assertEquals({ count_of(seen.reading, "listen"), seen.watched, seen.queue.packets }, { 1, 1, PACKETS })
 end
 
 -- The trees of the first packets give the exact time; then they are not built any more.
 function T.test_the_end_of_trees()
-  wireshark.is_direct = true
   tshark("yapp,faults")
   lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.deferral, "allow") }, { 1, 1 })
-  lu.assertEquals(count_of(seen.intake, "remove_later"), 1)
   local clocks = 0
   for tap in pairs(seen.taps) do if tap.filter then clocks = clocks + 1 end end
   lu.assertEquals(clocks, 0)
@@ -383,27 +375,14 @@ end
 function T.test_trees_that_are_built_anyway()
   tshark("yapp,faults,filter=yapp")
   lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.deferral, "allow") }, { 1, 0 })
-  lu.assertEquals(count_of(seen.intake, "remove_later"), 0)
   T.setUp()
   wireshark.is_second_pass = true
   tshark("yapp,faults")
   lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.deferral, "allow") }, { 0, 0 })
 end
 
--- A header waits for the tap of its packet; if the packets have none any more, for one that is made once.
+-- A header waits for the tap of its packet.
 function T.test_headers_that_wait()
-  tshark("yapp,faults")
-  local taps = #seen.order
-  seen.on_note()
-  lu.assertEquals(#seen.order, taps)
-  seen.queue.is_direct = true
-  seen.on_note()
-  seen.on_note()
-  lu.assertEquals(#seen.order, taps + 1)
-  seen.order[taps + 1].packet("pinfo", "tvb")
-  lu.assertEquals(seen.deferral[#seen.deferral], { "on_header", "pinfo", "tvb" })
-  lu.assertEquals({ count_of(seen.deferral, "on_header"), count_of(seen.deferral, "decide") }, { 1, 0 })
-  T.setUp()
   local _, parts = new_stat(false)
   parts.deferral.number, parts.deferral.is_undecided = 1, true
   parts:begin("yapp,faults")

@@ -4,8 +4,8 @@
 
 local groups = require "yapp.stat.groups"
 local joined = require "yapp.base.joined"
-local measures = require "yapp.stat.measures"
 local output = require "yapp.stat.output"
+local rules = require "yapp.stat.rules"
 local utf8 = require "yapp.base.utf8"
 
 local M = {}
@@ -63,10 +63,10 @@ local Check = groups.class { lists_problems = true }
 M.new = Check.new
 
 --- Return the values of a message type that rules are about.
-function Check:wants(of_type)
+function Check:wants(message_type)
   local list = {}
   for _, rule in ipairs(self.options.rules) do
-    if rule.want and rule.message == of_type then list[#list + 1] = rule.want end
+    if rule.field and rule.message == message_type then list[#list + 1] = rule end
   end
   return list
 end
@@ -75,12 +75,12 @@ end
 
 -- Return whether a rule is about a source.
 local function is_about(rule, group)
-  local kind, of_type = rule.kind, group.type
-  if not measures.is_of(rule, group.source) then return false end
-  if rule.message then return of_type == rule.message end
+  local kind, message_type = rule.kind, group.type
+  if not rules.is_of(rule, group.source) then return false end
+  if rule.message then return message_type == rule.message end
   if kind.scope == "rare" then return groups.count(group, kind.name).seen > 0 end
   if not kind.about then return group.source.id ~= nil end
-  local has = of_type and of_type[kind.about]
+  local has = message_type and message_type[kind.about]
   return has and (type(has) ~= "table" or next(has) ~= nil)
 end
 
@@ -91,7 +91,7 @@ local function measure_none(_, rule, check)
   if rule.is_default or is_rare then
     for _, group in ipairs(check.list) do
       local has_come = group.count > 0 or groups.count(group, "crc").seen > 0
-      local is_seen = has_come and measures.is_of(rule, group.source)
+      local is_seen = has_come and rules.is_of(rule, group.source)
       if is_seen then return 0, nil, not is_rare and NONE end
     end
   end
@@ -139,7 +139,7 @@ end
 
 -- Add the rows of a rule: one for each of its sources, or one in all.
 local function judge(self, rule)
-  local measure, about = measures.measure, {}
+  local measure, about = rules.measure, {}
   if rule.kind.scope == "capture" then
     about[1] = self.capture
   else
@@ -203,12 +203,12 @@ end
 
 -- The end ---------------------------------------------------------------------------------------
 
---- End, see stat.derive.
+--- End, see stat.answer.
 -- returns  the exit code, and a text on errors other than rules, nil for none
-function Check:finish(ending, notes, states)
+function Check:finish(ending, notes)
   local options, context, rows = self.options, self.context, {}
   local problems = joined(ending.problems, options.problems)
-  self.ending, self.states, self.rows = ending, states, rows
+  self.ending, self.rows = ending, rows
   self.counts = { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
   for _, rule in ipairs(options.rules) do
     judge(self, rule)

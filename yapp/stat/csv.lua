@@ -31,7 +31,7 @@ local COMMON = {
 }
 local CRC_GOOD = { { name = "crc_good", type = "bool" } }
 
-local Csv = { wants_messages_only = true }
+local Csv = {}
 Csv.__index = Csv
 
 -- Return the parts of a source's rows.
@@ -44,18 +44,18 @@ local function parts_of(source)
 end
 
 -- Return the common columns, then the message's.
-local function columns_of(self, of_type)
-  return joined(COMMON, self.options.all and CRC_GOOD or {}, text_of.columns(of_type))
+local function columns_of(self, message_type)
+  return joined(COMMON, self.options.all and CRC_GOOD or {}, text_of.columns(message_type))
 end
 
 -- Begin the table of a message.
-local function begin(self, of_type, file)
+local function begin(self, message_type, file)
   local names = {}
-  for i, column in ipairs(columns_of(self, of_type)) do
+  for i, column in ipairs(columns_of(self, message_type)) do
     names[i] = field_kinds.quoted(column.name)
   end
   file:write(table.concat(names, ",") .. "\n")
-  self.tables[of_type] = { file = file, rows = 0 }
+  self.tables[message_type] = { file = file, rows = 0 }
 end
 
 local function path_of(self, name)
@@ -94,13 +94,13 @@ function M.new(options, context)
     error(("csv: the folder %s cannot be made"):format(options.folder), 0)
   end
   self.fields = create(self, "fields.json")
-  for _, of_type in ipairs(context.settings.catalogue.messages) do
-    begin(self, of_type, create(self, of_type.name .. ".csv"))
+  for _, message_type in ipairs(context.settings.catalogue.messages) do
+    begin(self, message_type, create(self, message_type.name .. ".csv"))
   end
   return self
 end
 
---- Add the row of an event, see stat.derive.
+--- Add the row of an event, see stat.answer.
 function Csv:add_event(event)
   local all, source, is_good = self.options.all, event.source, event.kind == "message"
   local to = event.raws and self.tables[source.type]
@@ -147,9 +147,9 @@ end
 -- The values that are worked out from two fields and are no columns: "name" = "of" - "less".
 local DIFFERENCE_KEYS = words("name of less unit title")
 
-local function describe_differences(of_type)
+local function describe_differences(message_type)
   local list = {}
-  for _, item in ipairs(of_type.generated) do
+  for _, item in ipairs(message_type.generated) do
     if item.is_difference then
       list[#list + 1] = output.object(DIFFERENCE_KEYS, {
         name = item.name,
@@ -172,17 +172,17 @@ end
 --            DIFFERENCE_KEYS } } }, statistics = { NAME = { columns = see output.describe } } }
 function M.describe(catalogue, version, list_of, statistics)
   local names, messages = {}, {}
-  for i, of_type in ipairs(catalogue.messages) do
-    local list = list_of(of_type)
+  for i, message_type in ipairs(catalogue.messages) do
+    local list = list_of(message_type)
     for j, column in ipairs(list) do
       list[j] = describe_column(column)
     end
-    names[i] = of_type.name
-    messages[of_type.name] = output.object(words("title every columns differences"), {
-      title = of_type.title,
-      every = of_type.every,
+    names[i] = message_type.name
+    messages[message_type.name] = output.object(words("title every columns differences"), {
+      title = message_type.title,
+      every = message_type.every,
       columns = output.list(list),
-      differences = describe_differences(of_type),
+      differences = describe_differences(message_type),
     })
   end
   local whats, described = {}, {}
@@ -198,17 +198,18 @@ function M.describe(catalogue, version, list_of, statistics)
   }).json
 end
 
---- End, see stat.derive.  A file that could not be written is EXIT_UNDECIDED.
+--- End, see stat.answer.  A file that could not be written is EXIT_UNDECIDED.
 function Csv:finish(_, notes)
   if self.options.chosen then return end
   local context, settings, rows = self.context, self.context.settings, {}
-  local function list_of(of_type) return columns_of(self, of_type) end
+  local function list_of(message_type) return columns_of(self, message_type) end
   local statistics = self.options.statistics
   self.fields:write(M.describe(settings.catalogue, settings.version, list_of, statistics) .. "\n")
   local problem = output.close_files(self.files)
   if problem then return output.EXIT_UNDECIDED, "csv: " .. problem end
-  for i, of_type in ipairs(settings.catalogue.messages) do
-    rows[i] = { file = path_of(self, of_type.name .. ".csv"), rows = self.tables[of_type].rows }
+  for i, message_type in ipairs(settings.catalogue.messages) do
+    local path = path_of(self, message_type.name .. ".csv")
+    rows[i] = { file = path, rows = self.tables[message_type].rows }
   end
   local title = "YAPP csv: " .. output.count(#rows, "table")
   output.print(context, title, COLUMNS, rows, notes)

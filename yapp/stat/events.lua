@@ -1,129 +1,312 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- -z yapp,events: all events, in the order of time; and -z yapp,faults: the faults among these,
--- when each flag rose and fell, on which source, for how long.  Pure Lua, 5.2 to 5.5.
+-- A result of the reading becomes events; and what follows from the events of a source: faults,
+-- reboots, silences and other changes.  Pure Lua, 5.2 to 5.5.
+--
+-- The values of a good message's event are kinds.NOTHING for most messages, else {
+--   change         of message.history, or nil
+--   invalid        list of values of `invalid` events, or nil
+--   size           number of its bytes, if the catalogue does not decode all of them
+--   undecoded      number of these bytes behind those that the catalogue has, or nil
+--   is_unreliable  true if the past of the message is not known }
 
-local joined = require "yapp.base.joined"
+local END = require("yapp.wire.can_id").END
+local compiler = require "yapp.message.catalogue"
+local field_kinds = require "yapp.message.field_kinds"
 local kinds = require "yapp.stat.kinds"
+local memo = require "yapp.base.memo"
+local number_of = require("yapp.base.frame_key").number
 local output = require "yapp.stat.output"
 
 local M = {}
 
-local WHEN_AND_WHO = {
-  { "time" },
-  { "rel" },
-  { "frame" },
-  { "who" },
-  { "bus" },
-  { "id" },
-  { "source" },
-}
-local KIND = { "kind", type = "string", where = "json",
-  help = "what happened: `fault`, `reboot`, `silence` and others, see statistics.md" }
--- A line of JSON has the keys of its kind alone, see stat.kinds.
-local EVENTS = output.columns(joined({ KIND }, WHEN_AND_WHO, {
-  { "message" },
-  { "kind", where = "text", title = "event" },
-  { "details", where = "text window" },
-  -- The values of the kinds:
-  { "field", where = "" },
-  { "flag", where = "" },
-  { "event", where = "" },
-  { "active", where = "" },
-  { "length", type = "seconds", unit = "s", where = "",
-    help = "of a silence, a jump or a step of the clock; of `skipped`: bytes" },
-  { "what", type = "string", where = "", help = "of `incomplete`: what was wrong with it" },
-  { "value", type = "text", where = "", help = "of `invalid`: what the field had" },
-  { "size", type = "integer", where = "", help = "of `unknown`: bytes of each message" },
-  { "count", type = "integer", where = "", help = "how many messages or packets; null for one" },
-  { "like", type = "string", where = "", help = "of `unknown`: the message that has this size" },
-}))
-local FAULTS = output.columns(joined(WHEN_AND_WHO, {
-  { "message", where = "json text" },
-  { "field", where = "json text" },
-  { "flag" },
-  { "event" },
-  { "active" },
-  { "help", type = "string", where = "json text", help = "what the catalogue says of the flag" },
-}))
---- The columns of both, see output.columns.
-M.COLUMNS = { events = EVENTS, faults = FAULTS }
+local new_event, new_follower = kinds.new_event, kinds.new_follower
+local span, NOTHING = kinds.span, kinds.NOTHING
+local MAX_GAP = 1.5 -- periods; a longer gap has room for another message
 
--- The keys of a line of JSON, by kind.
-local KEYS_OF_KIND = {}
-for _, row in ipairs(kinds.LIST) do
-  KEYS_OF_KIND[row.name] = joined(EVENTS.json, output.words(row.keys or ""))
+-- What an anomaly loses, by its expert item.
+local LOSSES = {
+  ["fragment.incomplete"] = "incomplete",
+  ["fragment.orphan"] = "orphan",
+  ["fragment.overrun"] = "overrun",
+}
+-- The kind of a message by its status.  A truncated message could not be checked.  A message of
+-- another status makes no event: its anomalies do.
+local KIND_OF = { good = "message", bad = "crc", truncated = "incomplete" }
+
+-- From a result to events ------------------------------------------------------------------------
+
+-- The values of a message that the catalogue does not define; nil for none.
+local function invalid_of(message)
+  local message_type, list = message.source.type, nil
+  for _, remark in ipairs(message.remarks) do
+    local index, is_undefined = remark[1], remark[3]
+    if is_undefined then
+      local field, raw = message_type.fields[index], message.raws[index]
+      local shape = field_kinds.BY_NAME[field.kind].code or "0x%02x" -- as the document has it
+      list = list or {}
+      list[#list + 1] = {
+        field = field.name,
+        value = raw,
+        code = shape:format(raw),
+        effect = remark[2] == "command.key.invalid" and " (the controller ignores this command)",
+      }
+    end
+  end
+  return list
 end
 
-local Events = { follows_changes = true }
+local function values_of(message)
+  local invalid = message.remarks[1] and invalid_of(message)
+  local is_decoded = message.raws and not message.undecoded
+  if is_decoded and not (message.change or invalid or message.is_unreliable) then
+    return NOTHING
+  end
+  return {
+    change = message.change or nil,
+    invalid = invalid or nil,
+    size = not is_decoded and #message.payload or nil,
+    undecoded = message.undecoded or nil,
+    is_unreliable = message.is_unreliable or nil,
+  }
+end
+
+local function append(list, kind, frame, values, message)
+  list[#list + 1] = new_event(kind, frame.number, frame.time, frame.source, values, message)
+end
+
+local function append_message(list, frame, message)
+  local kind = KIND_OF[message.status]
+  if message.copy_of then
+    append(list, "copies", frame, { of = message.copy_of }, message)
+  elseif kind == "message" then
+    append(list, kind, frame, values_of(message), message)
+  elseif kind then
+    append(list, kind, frame, kind == "incomplete" and { what = kind } or nil, message)
+  end
+end
+
+--- Append the events of a result to a list.
+-- result  see reading.records
+function M.append(list, result)
+  local kind, frame = result.kind, result.frame
+  if result.message then
+    append_message(list, frame, result.message)
+  elseif kind == "skipped" then
+    append(list, kind, frame, { length = result.length })
+  elseif kind == "undissected" then
+    append(list, kind, frame, { size = result.length }, frame)
+  elseif kind == "unfinished" then
+    append(list, kind, frame)
+  end
+  for _, anomaly in ipairs(result.anomalies or NOTHING) do
+    local what = LOSSES[anomaly.expert]
+    if what then
+      local is_end = frame.can_id and frame.can_id.ctrl == END
+      append(list, "incomplete", frame, { what = what, is_end = is_end }, frame)
+    end
+  end
+end
+
+-- The events of a source -------------------------------------------------------------------------
+
+local Events = {}
 Events.__index = Events
 
---- Make the statistic.
--- options  { what = "events" or "faults" }
--- context  { dates = a stat.dates; and the rest for output.print }
-function M.new(options, context)
-  return setmetatable({ what = options.what, context = context, list = {} }, Events)
-end
-
---- Add an event, see stat.derive.  Messages that were not decoded have one event for each source
--- and size.
-function Events:add_event(event)
-  local row = kinds.BY_NAME[event.kind]
-  local is_listed = self.what == "events" and row and not row.is_counted_only
-  local is_wanted = is_listed or event.kind == "fault"
-  local is_repeated = event.kind == "unknown" and event.values.count > 1
-  if is_wanted and not is_repeated then
-    self.list[#self.list + 1] = event
-  end
-end
-
-local function row_of(self, event, ending)
-  local values, time = event.values, event.time
-  local row = {
-    kind = event.kind,
-    frame = event.frame,
-    time = time and self.context.dates:value(time),
-    rel = output.seconds(event.rel),
-    details = nil,
-    keys = self.what == "events" and KEYS_OF_KIND[event.kind] or nil,
+-- The state of a source, or of a line.
+local function new_state(source)
+  return {
+    source = source,
+    last = nil, -- event of its latest good message
+    faults = NOTHING, -- list of those that are set, as they rose, see message.faults
+    is_numbered = false, -- true if Seq No numbers its messages: it changed
+    shared_since = math.huge, -- number of the packet from which on two controllers share it
+    -- Its messages have the stamps of one recorder; if these go back, time goes on:
+    rel = -math.huge, -- of its latest message
+    fallen = 0, -- seconds that its stamps went back
+    orphan_seq = nil, -- of a message whose Start is lost, while its frames come
+    unknown_seq = nil, -- the latest, see add_undissected
+    stretch = nil, -- of a line: values of its skipped bytes, while nothing else comes
   }
-  for key, value in pairs(values) do
-    row[key] = value
-  end
-  if ending.lacks_times then row.active, row.after = nil, nil end
-  local function fill(key) return output.text(row[key], true) end
-  row.details = kinds.BY_NAME[event.kind].text:gsub("{(%w+)}", fill)
-  return output.row(event.source, row)
 end
 
--- By time, also where the capture's clock went back; then by frame.  Events without a time come
--- last.
-local function order_of(event)
-  return event.rel or math.huge, event.frame or math.huge
+--- Make the events of one run over a capture.
+-- settings  see stat.taps
+-- hand_on   function(event), called for each event in the order of the capture
+function M.new(settings, hand_on)
+  local states = {}
+  return setmetatable({
+    settings = settings,
+    hand_on = hand_on,
+    states = states, -- in the order in which they came
+    by_source = memo(new_state, states),
+    raised_at = {}, -- [fault of message.faults] = the event of the message that raised it
+    doubtful = {}, -- events that a `shared` behind them may explain, { event, frame, state } each
+    has_messages = false, -- true if an event of an ID came
+    undissected = {}, -- events of frames that are messages if other messages came
+  }, Events)
 end
 
--- Return how many times a source had faults: one for all flags that are set without a break.
-local function count_incidents(list)
-  local seen, count = {}, 0
-  for _, event in ipairs(list) do
-    local incident = event.values.incident
-    if not seen[incident] then seen[incident], count = true, count + 1 end
+-- Hand on what follows from a message.
+-- cause  event of the message to name; shown_in: number of the packet that shows it
+local function emit(self, kind, cause, values, shown_in)
+  local event = new_follower(kind, cause, values)
+  if kinds.BY_NAME[kind].is_doubtful then
+    table.insert(self.doubtful, { event = event, shown_in = shown_in or cause.frame })
+  else
+    self.hand_on(event)
   end
-  return count
 end
 
---- End, see stat.derive.  It always ends well.
-function Events:finish(ending, notes)
-  local what, list = self.what, {}
-  for _, event in ipairs(self.list) do
-    local is_sure = not (ending.lacks_times and kinds.BY_NAME[event.kind].needs_time)
-    if is_sure then list[#list + 1] = event end
+-- Hand on how many messages have room in a gap behind a message.
+local function emit_gap(self, last, length, is_last)
+  local message_type = last.source.type
+  local periods = message_type and message_type.every and length / message_type.every or 0
+  if periods > MAX_GAP then
+    local values = { count = math.floor(periods - 0.5), is_last = is_last }
+    self.hand_on(new_follower("gap", last, values))
   end
-  if what == "events" then output.sort(list, order_of) end
-  local count = what == "faults" and count_incidents(list) or #list
-  local title = ("YAPP %s: %d"):format(what, count)
-  output.print(self.context, title, M.COLUMNS[what], list, notes, function(event)
-    return row_of(self, event, ending)
-  end)
+end
+
+--- Return the event of a fault, which is known only behind the last message that counts.
+-- event  of the message; what: "raised", "cleared" or "active"
+function Events:fault_event(event, fault, what)
+  local flag, rise, active = fault.flag, self.raised_at[fault] or event, nil
+  if what ~= "raised" then
+    active = span(rise.rel, event.rel)
+    if active <= 0 and rise.frame ~= event.frame then active = nil end -- equal stamps tell nothing
+    active = output.seconds(active)
+  end
+  return new_follower("fault", event, {
+    field = fault.field,
+    flag = flag.name,
+    help = flag.help,
+    event = what,
+    incident = fault.incident,
+    active = active,
+    after = active and (" after %s s"):format(active.short),
+  })
+end
+
+local function add_faults(self, state, event, steps)
+  for _, step in ipairs(steps) do
+    local fault, what = step.fault, step.is_raised and "raised" or "cleared"
+    if step.is_raised then self.raised_at[fault] = event end
+    self.hand_on(self:fault_event(event, fault, what))
+  end
+  state.faults = steps.set
+end
+
+local function add_changes(self, state, event, change)
+  if change.shared then state.shared_since = number_of(change.shared) end
+  for _, row in ipairs(kinds.CHANGES) do
+    local key, value = row.change, change[row.name]
+    if value then
+      value = key == "length" and output.seconds(value) or value
+      emit(self, row.name, event, { [key] = value })
+    end
+  end
+end
+
+local function add_message(self, state, event)
+  local last, values = state.last, event.values
+  local change = values.change or NOTHING
+  state.last = event
+  if last then
+    if event.seq ~= last.seq then state.is_numbered = true end
+    if not values.is_unreliable then emit_gap(self, last, span(last.rel, event.rel)) end
+    if change.late then
+      emit(self, "silence", last, { length = output.seconds(change.late) }, event.frame)
+    end
+  end
+  self.hand_on(event)
+  if change ~= NOTHING then add_changes(self, state, event, change) end
+  for _, invalid in ipairs(values.invalid or NOTHING) do
+    emit(self, "invalid", event, invalid)
+  end
+  if change.faults then add_faults(self, state, event, change.faults) end
+  if state.faults[1] then event.faults = state.faults end
+end
+
+-- Losses ------------------------------------------------------------------------------------------
+
+-- The orphans in a row with one Seq No, up to an End, are one lost message.
+local function add_loss(self, state, event)
+  local values, begins = event.values, true
+  if values.what == "orphan" then
+    begins = state.orphan_seq ~= event.seq
+    state.orphan_seq = not values.is_end and event.seq or nil
+  else
+    state.orphan_seq = nil
+  end
+  if begins then self.hand_on(event) end
+end
+
+-- Bytes of a stream that belong to no frame.  Over several packets in a row they are one stretch,
+-- and one event, whose length grows.
+local function add_skipped(self, state, event)
+  local stretch = state.stretch
+  if stretch then
+    stretch.length = stretch.length + event.values.length
+    return
+  end
+  state.stretch = event.values
+  self.hand_on(event)
+end
+
+-- A frame that may be a message that is not dissected, or the Start of one.  It counts as one if
+-- its ID is known, if a message of the catalogue has its size, or if its Seq No follows that of the
+-- source's previous such frame.
+local function add_undissected(self, state, event)
+  local seq, messages = state.unknown_seq, self.settings.catalogue.messages
+  state.unknown_seq = event.seq
+  local is_next = seq and (seq + 1) % 256 == event.seq
+  if is_next or event.source.type or compiler.of_size(messages, event.values.size)[1] then
+    table.insert(self.undissected, event)
+  end
+end
+
+--- Add an event of M.append, in the order of the capture.
+function Events:add(event)
+  local source, kind = event.source, event.kind
+  local state = self.by_source[source]
+  local rel = event.time + state.fallen
+  if kind == "message" or kind == "crc" then -- a loss may come late
+    if rel < state.rel then
+      state.fallen, rel = state.fallen + state.rel - rel, state.rel
+    end
+    state.rel = rel
+  end
+  event.rel = rel
+  if kind == "skipped" then return add_skipped(self, state, event) end
+  if kind == "undissected" then return add_undissected(self, state, event) end
+  if source.id then self.has_messages = true end
+  if source.line then self.by_source[source.line].stretch = nil end
+  if kind == "incomplete" then return add_loss(self, state, event) end
+  state.orphan_seq = nil
+  if kind == "message" then return add_message(self, state, event) end
+  self.hand_on(event)
+end
+
+-- The end -----------------------------------------------------------------------------------------
+
+--- End: hand on what only the end shows.
+-- length_since  function(event) -> seconds from a message to the capture's end
+function Events:finish(length_since)
+  for _, one in ipairs(self.doubtful) do
+    local state = self.by_source[one.event.source]
+    if one.shown_in < state.shared_since then self.hand_on(one.event) end
+  end
+  for _, state in ipairs(self.states) do
+    local last = state.last
+    if last and not last.values.is_unreliable then
+      local every, length = last.source.type and last.source.type.every, length_since(last)
+      emit_gap(self, last, length, true)
+      if every and length > self.settings.late * every then
+        local values = { length = output.seconds(length), is_last = true }
+        self.hand_on(new_follower("silence", last, values))
+      end
+    end
+  end
 end
 
 return M

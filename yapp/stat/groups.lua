@@ -2,7 +2,6 @@
 -- The gathering of a statistic: of each source counts, times, gaps and values; of all sources of
 -- one message, how far their values lie apart.  Pure Lua, 5.2 to 5.5.
 
-local bits = require "yapp.base.bits"
 local field_kinds = require "yapp.message.field_kinds"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
@@ -11,19 +10,10 @@ local output = require "yapp.stat.output"
 local M = {}
 
 local span = kinds.span
-local number_of_raw = field_kinds.number
+local number_of = field_kinds.number
 local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
 local NO_EVENTS = { seen = 0, values = kinds.NOTHING } -- a count: to be read only
-
--- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent, of
--- flags those of a mask; NaN for a reserved value, nil where the message does not have the field.
-local function number_of(values, raws)
-  local field, raw, mask = values.field, raws[values.index], values.mask
-  if mask then return raw and bits.band(raw, mask) end
-  if values.index then return raw and number_of_raw(field, raw) end
-  return field_kinds.value(field, raws)
-end
 
 -- A number with the digits that people see.
 local function round(field, value)
@@ -34,22 +24,20 @@ end
 -- Values ----------------------------------------------------------------------------------------
 
 -- Make the record of a field of a source.
+-- want  see Groups:wants
 local function new_values(want, spread)
-  local field, is_judged = want.field, spread or want.low or want.high
+  local field, range = want.field, want.range
   return {
     field = field,
     index = field.index or false, -- a derived value has none
-    mask = want.mask, -- of some flags, nil for the whole value
     -- The highest raw value that is a number, where raw values are gathered: see add_values.
-    ordinary = not is_judged and field_kinds.linear_top(field) or false,
-    low = want.low or -INFINITE,
-    high = want.high or INFINITE,
-    lets_reserved = want.lets_reserved, -- true if a reserved value is not outside
+    ordinary = not (spread or range) and field_kinds.linear_top(field) or false,
+    range = range, -- limits of each number, or nil
+    seen = 0, -- number of all values
     count = 0, -- of numbers, whose least, sum and largest follow, or those of raw values
     min = INFINITE,
     sum = 0.0,
     max = -INFINITE,
-    seen = 0, -- number of all values
     outside = 0, -- number of those beyond the limits
     by = 0, -- how far the worst of these is beyond; worst = this value, frame = its frame
     spread = spread, -- of all sources, where they are compared
@@ -58,20 +46,18 @@ local function new_values(want, spread)
   }
 end
 
-local function add_value(values, value, frame)
-  values.seen = values.seen + 1
-  if value == value then
-    values.count = values.count + 1
-    values.sum = values.sum + value
-    if value < values.min then values.min = value end
-    if value > values.max then values.max = value end
-  end
-  if value >= values.low and value <= values.high then
-    return
-  end
+local function add_number(values, value)
+  values.count = values.count + 1
+  values.sum = values.sum + value
+  if value < values.min then values.min = value end
+  if value > values.max then values.max = value end
+end
+
+local function judge_number(values, value, frame)
+  local range = values.range
+  if value >= range.low and value <= range.high then return end
   value = round(values.field, value)
-  local by = math.max(values.low - value, value - values.high)
-  if value ~= value then by = values.lets_reserved and 0 or INFINITE end -- beyond all, or not
+  local by = math.max(range.low - value, value - range.high)
   if by <= 0 then return end
   values.outside = values.outside + 1
   if by > values.by then
@@ -82,15 +68,13 @@ end
 -- Find how far the latest values of all sources lie apart: the largest spread so far, and the event
 -- that shows it.  Needs values of two sources at one time.
 -- longest  seconds for which a value stays valid
-local function update_spread(values, value, event, now, longest)
+local function update_spread(values, value, event, longest)
   local spread, low, high, count = values.spread, INFINITE, -INFINITE, 0
-  values.latest, values.latest_at = round(values.field, value or NO_NUMBER), now
-  for _, one in ipairs(spread.members) do
-    local latest = one.latest
-    if latest == latest and span(one.latest_at, now) <= longest then
-      if latest < low then low = latest end
-      if latest > high then high = latest end
-      count = count + 1
+  values.latest, values.latest_at = round(values.field, value), event.rel
+  for _, member in ipairs(spread.members) do
+    local latest = member.latest
+    if latest == latest and span(member.latest_at, event.rel) <= longest then
+      low, high, count = math.min(low, latest), math.max(high, latest), count + 1
     end
   end
   if count < 2 then return end
@@ -109,15 +93,14 @@ end
 -- Make the record of a source: {
 --   source, type = the source's
 --   counts = { [kind of event] = see M.count }
---   count = of good messages, decoded = of those that were decoded; first, last = their times,
---   last_frame
+--   count = of good messages, decoded = of those that were decoded; first, last = their events
 --   gap_min, gap_max = seconds, gap_max_frame
 --   silent = how long it has been silent at the capture's end, if that is a silence
 --   is_unreliable = true if one of them had an unreliable history
 --   values = a list, also by entry of Groups:wants }
 local function new_group(self, source)
-  local of_type, all = source.type, {}
-  for i, want in ipairs(self.wanted[of_type or false] or kinds.NOTHING) do
+  local message_type, all = source.type, {}
+  for i, want in ipairs(self.wanted[message_type or false] or kinds.NOTHING) do
     local spread = want.is_spread and self.spreads[want]
     local values = new_values(want, spread)
     if spread then table.insert(spread.members, values) end
@@ -125,7 +108,7 @@ local function new_group(self, source)
   end
   return {
     source = source,
-    type = of_type,
+    type = message_type,
     counts = {},
     count = 0,
     decoded = 0,
@@ -136,7 +119,7 @@ end
 local Groups = {}
 
 --- Make a class of statistics that gather by source.
--- class    its own methods, see stat.derive; wants, if it gathers other fields than all that are
+-- class    its own methods, see stat.answer; wants, if it gathers other fields than all that are
 --          numbers; compares = true if it gathers their spreads, too
 -- returns  it, with class.new(options, context), which makes a statistic:
 --   options  of stat.options
@@ -156,18 +139,20 @@ function M.class(class)
       spreads = memo(new_spread), -- by entry of Groups:wants
     }, class)
     self.by_source = memo(function(source) return new_group(self, source) end, list)
-    for _, of_type in ipairs(context.settings.catalogue.messages) do
-      self.wanted[of_type] = self:wants(of_type)
+    for _, message_type in ipairs(context.settings.catalogue.messages) do
+      self.wanted[message_type] = self:wants(message_type)
     end
     return self
   end
   return setmetatable(class, { __index = Groups })
 end
 
---- Return the fields of a message type that are gathered: numbers that are no codes.
-function Groups:wants(of_type)
+--- Return the values of a message type that are gathered: here numbers that are no codes.
+-- returns  a list of { field, range = limits of each number, { low, high }, or nil, is_spread =
+--          true if the spread of all sources is gathered }
+function Groups:wants(message_type)
   local list = {}
-  for _, fields in ipairs { of_type.fields, of_type.generated } do
+  for _, fields in ipairs { message_type.fields, message_type.generated } do
     for _, field in ipairs(fields) do
       if field_kinds.is_number(field) then
         list[#list + 1] = { field = field, is_spread = self.compares }
@@ -177,9 +162,9 @@ function Groups:wants(of_type)
   return list
 end
 
--- amount  to add; nil for 1, but only once for all events of one cause
-local function count_event(group, kind, event, cause, amount)
-  local counts, frame = group.counts, event.frame
+-- amount  to add; nil for 1, but only once for all events of one message
+local function count_event(group, kind, event, amount)
+  local counts, frame, cause = group.counts, event.frame, event.cause or event
   local count = counts[kind] or { seen = 0, frame = nil, values = kinds.NOTHING, cause = nil }
   counts[kind] = count
   if frame and frame < (count.frame or INFINITE) then
@@ -191,64 +176,68 @@ local function count_event(group, kind, event, cause, amount)
   count.cause = cause
 end
 
--- Add the raw value of a field whose numbers grow with it: M.row works out the numbers of the
--- least, the sum and the largest.  This halves the time of a summary's values.
-local function add_raw(values, raw)
-  values.seen = values.seen + 1
-  if raw > values.ordinary then return end
-  values.count = values.count + 1
-  values.sum = values.sum + raw
-  if raw < values.min then values.min = raw end
-  if raw > values.max then values.max = raw end
+-- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent; NaN
+-- for a reserved value, nil where the message does not have the field.
+local function number_in(values, raws)
+  local raw = raws[values.index]
+  if not values.index then return field_kinds.value(values.field, raws) end
+  return raw and number_of(values.field, raw)
 end
 
-local function add_values(self, group, event, now)
+local function add_values(self, group, event)
   local every, raws = group.type.every, event.raws
   local longest = every and self.context.settings.late * every or INFINITE
   for _, values in ipairs(group.values) do
-    if values.ordinary then
-      local raw = raws[values.index]
-      if raw then add_raw(values, raw) end
-    else
-      local value = number_of(values, raws)
-      if value then add_value(values, value, event.frame) end
-      if values.spread then update_spread(values, value, event, now, longest) end
+    -- Where numbers grow with raw values, M.row works out the numbers of the least, the sum and the
+    -- largest of these: this halves the time of a summary's values.
+    local value = values.ordinary and raws[values.index]
+    if not values.ordinary then value = number_in(values, raws) end
+    if value then
+      values.seen = values.seen + 1
+      if value <= (values.ordinary or INFINITE) then -- false for NaN
+        add_number(values, value)
+        if values.range then judge_number(values, value, event.frame) end
+      end
     end
+    if values.spread then update_spread(values, value or NO_NUMBER, event, longest) end
   end
 end
 
-local function add_message(self, event, now)
-  local group, frame = self.by_source[event.source], event.frame
-  if group.last then
-    local gap = span(group.last, now)
-    if gap > (group.gap_max or -INFINITE) then group.gap_max, group.gap_max_frame = gap, frame end
+local function add_message(self, event)
+  local group = self.by_source[event.source]
+  local last = group.last
+  group.last = event
+  if last then
+    local gap = span(last.rel, event.rel)
+    if gap > (group.gap_max or -INFINITE) then
+      group.gap_max, group.gap_max_frame = gap, event.frame
+    end
     group.gap_min = math.min(gap, group.gap_min or gap)
   end
-  group.first = group.first or now
-  group.last, group.last_frame = now, frame
+  group.first = group.first or event
   group.count = group.count + 1
   group.is_unreliable = group.is_unreliable or event.values.is_unreliable
   if not event.raws then return end
   group.decoded = group.decoded + 1
-  add_values(self, group, event, now)
+  add_values(self, group, event)
 end
 
---- Add an event, see stat.derive.  A fault counts when it rises.
-function Groups:add_event(event, now, cause)
+--- Add an event, see stat.answer.  A fault counts when it rises.
+function Groups:add_event(event)
   local kind, values = event.kind, event.values
   local row = kinds.BY_NAME[kind]
-  if not row then return add_message(self, event, now) end
+  if not row then return add_message(self, event) end
   if kind == "fault" and values.event ~= "raised" then
     return
   end
   if kind == "absent" then self.absent[event.source] = true end
   local group = row.scope == "capture" and self.capture or self.by_source[event.source]
-  count_event(group, row.counts_as or kind, event, cause, values[row.amount])
+  count_event(group, row.counts_as or kind, event, values[row.amount])
   if kind ~= "silence" then return end
   if values.is_last then
     group.silent = values.length
   else
-    count_event(group, "late", event, cause)
+    count_event(group, "late", event)
   end
 end
 
@@ -260,12 +249,12 @@ end
 
 --- Return the mean gap in seconds, nil for fewer than two messages.
 function M.mean_gap(group)
-  return group.count > 1 and span(group.first, group.last) / (group.count - 1) or nil
+  return group.count > 1 and span(group.first.rel, group.last.rel) / (group.count - 1) or nil
 end
 
 --- Return the mean rate in Hz, nil where no two messages are at two times.
 function M.rate(group)
-  local length = group.count > 1 and span(group.first, group.last) or 0
+  local length = group.count > 1 and span(group.first.rel, group.last.rel) or 0
   return length > 0 and (group.count - 1) / length or nil
 end
 
@@ -283,8 +272,8 @@ function M.row(group, values)
   if count == 0 then return row end
   local min, mean, max = values.min, values.sum / count, values.max
   if values.ordinary then
-    min, max = number_of_raw(field, min), number_of_raw(field, max)
-    mean = number_of_raw(field, mean)
+    min, max = number_of(field, min), number_of(field, max)
+    mean = number_of(field, mean)
   end
   row.min, row.mean, row.max = round(field, min), mean, round(field, max)
   return row

@@ -3,7 +3,7 @@
 -- the rules of `check`, the errors of options, the help and the tests come from these rows.
 -- Pure Lua, 5.2 to 5.5.
 --
--- A new kind is a row here and the code that makes its events.  Of a row with `change`, stat.derive
+-- A new kind is a row here and the code that makes its events.  Of a row with `change`, stat.events
 -- makes them: if a change of message.history has the row's name.
 
 local M = {}
@@ -22,7 +22,7 @@ local M = {}
 -- about       key that the message type of a source must have; nil for any source with an ID
 -- needs_past  true if it can be judged only with a good message and a reliable history
 -- needs_values  the same with a message that was decoded
--- is_doubtful true if a `shared` behind it may explain it, see stat.derive
+-- is_doubtful true if a `shared` behind it may explain it, see stat.events
 -- needs_time  true if it can be judged only if packets have time stamps
 -- can_fall    true if more packets may lower the value that the rule judges
 M.LIST = {
@@ -139,11 +139,14 @@ M.LIST = {
 
 --- The rows by name.
 M.BY_NAME = {}
+--- The rows that are changes.
+M.CHANGES = {}
 --- The names of the rows that have a rule, in their order.
 M.RULES = {}
 for _, row in ipairs(M.LIST) do
   row.name, row.text = row[1], row[2]
   M.BY_NAME[row.name] = row
+  if row.change then M.CHANGES[#M.CHANGES + 1] = row end
   if not row.counts_as then M.RULES[#M.RULES + 1] = row.name end
 end
 
@@ -151,24 +154,32 @@ end
 M.NOTHING = {}
 
 --- Make an event, which statistics list and count.
--- kind    "message" for a good message, else the name of a row
+-- kind    "message" for a good message, "gap" for the room of others in front of the next one,
+--         else the name of a row
 -- frame   number of the packet; time = seconds since the first one
 -- source  of message.reader, one table for all its events; for events of a bus, or of the capture,
 --         with its bus and name alone, or with nothing
--- values  by the keys of its kind, and by those in its text; of a message see stat.intake
+-- values  by the keys of its kind, and by those in its text; of a message see stat.events
 -- message  of a message: { seq, raws = its raw values, nil or false where the catalogue does not
 --         decode it }
 function M.new_event(kind, frame, time, source, values, message)
   return {
     kind = kind,
     time = time,
-    rel = time, -- the same without the steps back of the capture's clock: see stat.queue
+    rel = time, -- the same without the steps back of its source's stamps: see stat.events
     frame = frame,
     source = source,
     values = values or M.NOTHING,
     seq = message and message.seq,
     raws = message and message.raws,
   }
+end
+
+--- Make an event that follows from the event of a message, its cause.
+function M.new_follower(kind, cause, values)
+  local event = M.new_event(kind, cause.frame, cause.time, cause.source, values)
+  event.rel, event.cause = cause.rel, cause
+  return event
 end
 
 --- Return the seconds between two times of a capture, rounded to the nanosecond, so that a gap of

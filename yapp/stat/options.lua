@@ -6,115 +6,21 @@
 
 local check = require "yapp.stat.check"
 local csv = require "yapp.stat.csv"
-local events = require "yapp.stat.events"
-local field_kinds = require "yapp.message.field_kinds"
 local input = require "yapp.base.input"
-local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
-local measures = require "yapp.stat.measures"
+local lists = require "yapp.stat.lists"
+local rules_of = require "yapp.stat.rules"
 local summary = require "yapp.stat.summary"
 
 local M = {}
 
-local demand, decimal, find, trim = input.demand, input.decimal, input.find, input.trim
+local demand, find, trim = input.demand, input.find, input.trim
 
-local RULES = table.concat(kinds.RULES, "=N, ") .. "=N"
-for _, measure in ipairs(measures.LIST) do RULES = RULES .. ", " .. measure.text end
 local NO_RULE = "no rule follows %s: it is for those behind it"
-local RANGE = "a range is A..B, A.. or ..B"
-local INFINITE = math.huge
-local MAX_FILE = 2 ^ 20 -- bytes of a file of rules
-
--- Rules -------------------------------------------------------------------------------------------
---
--- Functions from here to the rows of the statistics raise errors.
-
--- Return a number that is not below 0; for a count one without a fraction.
-local function parse_limit(text, what, is_count)
-  local value = decimal(text)
-  local is_good = value and value >= 0 and not (is_count and text:find("%D"))
-  return demand(is_good and value, "%q is not a %s", text, what)
-end
-
--- An end of a range, which may be left out.
-local function parse_end(text, none)
-  if text == "" then return none end
-  return demand(decimal(text), RANGE)
-end
-
--- Return the ends of A..B, A.. or ..B.
-local function parse_range(text)
-  local low, high = text:match("^(.-)%.%.(.*)$")
-  demand(low and text ~= "..", RANGE)
-  low, high = parse_end(low, -INFINITE), parse_end(high, INFINITE)
-  demand(low <= high, "nothing lies in this range")
-  return low, high
-end
-
--- Set the limits of a rule by its measure.
-local function set_limits(rule, value)
-  local measure = rule.kind
-  if measure.takes_range and (not measure.bound or value:find("..", 1, true)) then
-    rule.low, rule.high = parse_range(value)
-  else
-    rule[measure.bound] = parse_limit(value, measure.name, measure.is_count)
-  end
-end
-
--- MESSAGE.FIELD=A..B and MESSAGE.FIELD.spread=X
-local function add_field(rule, name, value)
-  local message, start, suffix = rule.message, name:match("^(.*)%.(%l+)$")
-  local plain = measures.OF_FIELD[1]
-  rule.kind = suffix ~= plain.name and find(measures.OF_FIELD, suffix) or plain
-  if rule.kind ~= plain then name = start end
-  local field, names = find(joined(message.fields, message.generated), name)
-  demand(field, "%s has no field %q, but %s", message.name, name, names)
-  demand(not field_kinds.BY_NAME[field.kind].is_text,
-    "%s.%s is a text, which has no range", message.name, field.name)
-  demand(not (rule.source and rule.kind.scope == "capture"),
-    "a %s is of all sources, not of one", rule.kind.name)
-  if rule.kind.bound or rule.kind.takes_range then set_limits(rule, value) end
-  rule.want = rule.kind.want and rule.kind.want(rule, field) or { field = field }
-end
-
--- Return the name of a rule MESSAGE.NAME=..., and its measure, nil for a field.  A field of the
--- user's may have the name of a measure: then NAME.value is the field, NAME.messages the measure.
-local function find_measure(message, name)
-  local short, kind = name:match("^(.*)%.(%l+)$")
-  if kind == "value" then return short end
-  local measure = find(measures.OF_MESSAGE, short)
-  if kind == "messages" and measure then return short, measure end
-  measure = find(measures.OF_MESSAGE, name)
-  demand(not measure or not find(joined(message.fields, message.generated), name),
-    "%s has a field %s: write %s.value for it, %s.messages for the messages", message.name, name,
-    name, name)
-  return name, measure
-end
-
--- "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55": { text, source,
---   kind       a row of kinds or of measures
---   low, high  the limits of the value to judge
---   message    compiled, of MESSAGE.
---   want       an entry of Groups:wants, nil for a rule about no field }
-local function parse_rule(text, catalogue, source)
-  local name, value = text:match("^([^=]*)=(.*)$")
-  local kind = kinds.BY_NAME[name]
-  local rule = { text = text, source = source, kind = kind, low = -INFINITE, high = INFINITE }
-  if kind and not kind.counts_as then
-    rule.high = parse_limit(value, "number of messages", true)
-    return rule
-  end
-  local message_name, rest = (name or ""):match("^([^.]+)%.(.+)$")
-  demand(message_name, "a rule is one of %s; options are %s, filter=EXPRESSION", RULES,
-    M.BY_NAME.check.options)
-  local message, names = find(catalogue.messages, message_name)
-  rule.message = demand(message, "there is no message %q, but %s", message_name, names)
-  rest, rule.kind = find_measure(message, rest)
-  if rule.kind then set_limits(rule, value) else add_field(rule, rest, value) end
-  return rule
-end
 
 -- Options -----------------------------------------------------------------------------------------
+--
+-- Functions from here to the rows of the statistics raise errors.
 
 -- Call a function of a row of LIST.  If it raises a text, note it as a problem of this part.
 local function attempt(options, part, call, catalogue)
@@ -132,14 +38,20 @@ end
 
 local parse_check
 
+local function add_rule(options, text, catalogue, source)
+  local words = options.row.options .. ", filter=EXPRESSION"
+  local rule = rules_of.parse(text, catalogue, source, words)
+  table.insert(options.rules, rule)
+  return rule
+end
+
 -- The rules of a file, one a line.  A # begins a comment, unless it stands in the name of a source.
 local function read_rules(options, path, catalogue)
   demand(options.line == "", "a file of rules names no other")
   local file, problem = io.open(path, "rb")
   demand(file, "%s", problem)
-  local text = file:read(MAX_FILE) or ""
+  local text = file:read("*a") or "" -- nil for a folder
   file:close()
-  demand(#text < MAX_FILE, "the file is too long")
   local count, number_of_line = #options.rules + #options.problems, 0
   local source = options.source -- for the rules behind the file
   for line in (text:gsub("^\239\187\191", "") .. "\n"):gmatch("(.-)\r?\n") do
@@ -169,7 +81,7 @@ function parse_check(options, part, catalogue)
     options[name] = value
   else
     options.unused = nil
-    table.insert(options.rules, parse_rule(part, catalogue, options.source))
+    add_rule(options, part, catalogue, options.source)
     options.looks_for_faults = options.looks_for_faults or name == "fault"
     options.judges_unknown = options.judges_unknown or name == "unknown"
   end
@@ -180,7 +92,7 @@ local function finish_check(options, _, catalogue)
   if rules[1] or options.problems[1] then
     -- No rule can check a message that was not decoded.
     if not options.judges_unknown then
-      rules[#rules + 1] = parse_rule("unknown=0", catalogue)
+      add_rule(options, "unknown=0", catalogue)
     end
     demand(not options.unused, NO_RULE, "it")
     return
@@ -188,8 +100,7 @@ local function finish_check(options, _, catalogue)
   options.looks_for_faults = true
   for _, kind in ipairs(kinds.RULES) do
     if not kinds.BY_NAME[kind].is_optional then
-      local rule = parse_rule(kind .. "=0", catalogue, options.source)
-      rule.is_default, rules[#rules + 1] = true, rule
+      add_rule(options, kind .. "=0", catalogue, options.source).is_default = true
     end
   end
 end
@@ -218,7 +129,7 @@ end
 
 -- name     behind -z yapp,
 -- title    in menus
--- new      function(options, context), makes it: see stat.derive
+-- new      function(options, context), makes it: see stat.answer
 -- columns  of output.columns
 -- options  the words besides filter=EXPRESSION: M.parse knows the words without "=" by this text
 -- parse    function(options, part, catalogue), reads other options; nil if there are none
@@ -240,8 +151,8 @@ M.LIST = {
   {
     name = "faults",
     title = "Faults",
-    new = events.new,
-    columns = events.COLUMNS.faults,
+    new = lists.new,
+    columns = lists.COLUMNS.faults,
     options = "json",
     help = "when each fault rose and fell",
     looks_for_faults = true,
@@ -249,8 +160,8 @@ M.LIST = {
   {
     name = "events",
     title = "Events",
-    new = events.new,
-    columns = events.COLUMNS.events,
+    new = lists.new,
+    columns = lists.COLUMNS.events,
     options = "json",
     help = "these, reboots, silences, bad CRCs, losses, in order",
   },
@@ -294,10 +205,7 @@ for _, row in ipairs(M.LIST) do M.BY_NAME[row.name] = row end
 
 -- words  the options without "="
 local function parse_part(options, part, words, catalogue)
-  -- A message may have the name of an option: csv,-,all prints the message all.
-  local is_message = options.folder == "-" and not options.chosen and
-    find(catalogue.messages, part)
-  if words[part] and not is_message then
+  if words[part] then
     options[part] = true
   else
     attempt(options, part, options.row.parse or refuse, catalogue)

@@ -92,6 +92,11 @@ function M.count(number, thing)
   return format("%d %s%s", number, thing, number == 1 and "" or "s")
 end
 
+--- Return the beginning of a sentence: "1 message was", "2 messages were".
+function M.were(number, thing)
+  return M.count(number, thing) .. (number == 1 and " was" or " were")
+end
+
 --- Return where a source is: its bus and ID, "can0 0x210".
 function M.bus_and_id(source)
   local id = source.id and format("0x%x", source.id)
@@ -352,20 +357,19 @@ end
 -- problem  an error of before, nil for none
 -- returns  an error, nil for none
 function M.close_files(list, problem)
-  local function keep_problem(file, _, why)
+  local function note(file, why)
     if why then problem = problem or file.path .. ": " .. why end
   end
   for _, file in ipairs(list) do
-    keep_problem(file, nil, file.problem)
-    keep_problem(file, file.handle:close())
+    note(file, file.problem or select(2, file.handle:close()))
   end
   for _, file in ipairs(list) do
-    local aside, path = file.aside, file.path
-    if problem and aside ~= path then
-      os.remove(aside)
-    elseif aside ~= path and not os.rename(aside, path) then
-      os.remove(path) -- on Windows a rename does not replace a file
-      keep_problem(file, os.rename(aside, path))
+    local is_aside = file.aside ~= file.path
+    if is_aside and problem then
+      os.remove(file.aside)
+    elseif is_aside then
+      os.remove(file.path) -- on Windows a rename does not replace a file
+      note(file, select(2, os.rename(file.aside, file.path)))
     end
   end
   return problem

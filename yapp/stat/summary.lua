@@ -6,7 +6,6 @@
 -- incomplete ones are counted separately.
 
 local groups = require "yapp.stat.groups"
-local kinds = require "yapp.stat.kinds"
 local output = require "yapp.stat.output"
 
 local M = {}
@@ -93,7 +92,7 @@ local function row_of(group, ending)
   return row
 end
 
---- End, see stat.derive.
+--- End, see stat.answer.
 function Summary:finish(ending, notes)
   local rows, shown, context = {}, {}, self.context
   for i, group in ipairs(self:sort()) do
@@ -110,7 +109,7 @@ function Summary:finish(ending, notes)
     rows[i].values = output.object(names, ranges)
   end
   local sources = output.count(#rows, "source")
-  local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.now or 0)
+  local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.length)
   output.print(context, title, COLUMNS, rows, notes)
   if shown[1] then
     context.out("\n")
@@ -130,7 +129,6 @@ local COMPARED = output.columns {
   { "min", where = "text window" },
   { "mean", where = "text" }, -- the window of Summary has it
   { "max", where = "text window" },
-  { "far", where = "text window", title = "far from the others", short = "far" },
   { "spread", type = "number",
     help = "the largest difference of the sources at one time" },
   { "time", where = "json", help = "when they differ by it" },
@@ -141,61 +139,10 @@ local COMPARED = output.columns {
 --- The columns of compare, see output.columns.
 M.COMPARED = COMPARED
 
-local Compare = groups.class { compares = true, wants_messages_only = true }
+local Compare = groups.class { compares = true }
 
 --- See groups.class.
 M.compare = Compare.new
-
--- A value is far from those of the others if it is so many times as far from their median as they
--- usually are: 1.5 times the median of their distances, or a share of the median, or an amount.
--- The page of a flight has the same numbers.
-local FAR, USUAL = 4, 0.02
-local LEAST = { ["°C"] = 1, V = 0.05, A = 0.1, W = 1, RPM = 1 }
-
--- Return "▲" or "▼" if a number is far above or below several others, else nil.
-local function far_mark(number, others, unit)
-  if #others < 2 then return nil end
-  local middle, distances = groups.median(others), {}
-  for i, other in ipairs(others) do distances[i] = math.abs(other - middle) end
-  local least = LEAST[unit or ""] or 0.001
-  local usual = math.max(1.5 * groups.median(distances), USUAL * math.abs(middle), least)
-  local away = number - middle
-  return math.abs(away) >= FAR * usual and (away > 0 and "▲" or "▼") or nil
-end
-
--- A source that fell silent has values of a part of the flight alone: the others are not measured
--- by them, and only these of its own marks have a meaning.
-local OF_SILENT = { min = "▼", max = "▲" }
-
-local function add_words(row, text, short)
-  local far = row.far or { text = "", short = "" }
-  far.text = far.text .. (far.text ~= "" and " " or "") .. text
-  if far.short:sub(-#short) ~= short then
-    far.short = far.short .. (#far.short > 0 and #short > 3 and " " or "") .. short
-  end
-  row.far = far
-end
-
--- Mark the values of a field that are far from the others: "▲ mean ▲ max"; in a
--- window, which has no mean, the arrows alone; and who fell silent.
--- list  of the groups, in the order of the rows
-local function mark_far(rows, list)
-  for _, key in ipairs(RANGE) do
-    for i, row in ipairs(rows) do
-      local others = {}
-      for j, other in ipairs(rows) do
-        if i ~= j and not list[j].is_silent then others[#others + 1] = other[key] end
-      end
-      local mark = row[key] and far_mark(row[key], others, rows[1].unit)
-      if mark and (not list[i].is_silent or OF_SILENT[key] == mark) then
-        add_words(row, mark .. " " .. key, mark)
-      end
-    end
-  end
-  for i, row in ipairs(rows) do
-    if list[i].is_silent and row.min then add_words(row, "silent", "silent") end
-  end
-end
 
 -- Append the rows of a field: one for each source.  The first has the spread of all and the values
 -- of JSON, which needs no other row.
@@ -206,7 +153,6 @@ local function add_rows(self, list, index, rows)
     sources[i], all[i] = output.object(OF_SOURCE, row), row
     if i == 1 or not self.context.json then rows[#rows + 1] = row end
   end
-  mark_far(all, list)
   for i = 2, #all do all[i].field, all[i].unit = nil, nil end
   local row, rel = rows[first], spread.rel
   row.spread, row.frame, row.rel = spread.worst, spread.frame, output.seconds(rel)
@@ -225,10 +171,10 @@ end
 local function list_compared(self)
   local by_type, lists = {}, {}
   for _, group in ipairs(self:sort()) do
-    local of_type = group.type
-    if of_type then
-      local list = by_type[of_type] or {}
-      by_type[of_type], list[#list + 1] = list, group
+    local message_type = group.type
+    if message_type and group.count > 0 then
+      local list = by_type[message_type] or {}
+      by_type[message_type], list[#list + 1] = list, group
       if #list == 2 then lists[#lists + 1] = list end
     end
   end
@@ -238,21 +184,10 @@ local function list_compared(self)
   return lists
 end
 
--- Mark the groups of a message that fell silent while another one went on.
-local function mark_silent(self, list)
-  local every, last = list[1].type.every, 0
-  for _, group in ipairs(list) do last = math.max(last, group.last or 0) end
-  for _, group in ipairs(list) do
-    local length = every and group.last and kinds.span(group.last, last) or 0
-    group.is_silent = length > 0 and length > self.context.settings.late * every
-  end
-end
-
 --- End: print a table for each message.
 function Compare:finish(_, notes)
   local context, lists = self.context, list_compared(self)
   for i, list in ipairs(lists) do
-    mark_silent(self, list)
     local rows = {}
     for index in ipairs(list[1].values) do add_rows(self, list, index, rows) end
     local title = ("YAPP compare: %d sources of %s"):format(#list, list[1].type.title)

@@ -1,14 +1,14 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- Statistics in tshark (-z yapp,...): taps, output, exit codes.  Wireshark's windows are
--- stat.menu's.  Wireshark's API.
+-- stat.windows's.  Wireshark's API.
 
 local command = require "yapp.capture.command_line"
 local joined = require "yapp.base.joined"
-local menu = require "yapp.stat.menu"
 local options_of = require "yapp.stat.options"
 local output = require "yapp.stat.output"
 local preferences = require "yapp.host.preferences"
-local queue = require "yapp.stat.queue"
+local run_of = require "yapp.stat.run"
+local windows = require "yapp.stat.windows"
 
 local M = {}
 
@@ -37,7 +37,7 @@ Stat.__index = Stat
 --     sources       a message.sources; sources_text = the preference that it was read from
 --     ids           [message name] = list of the IDs that its preference has
 --     problems      list of texts: wishes of the user that were not met }
---   intake     a stat.intake, builder = a show.tree, buses = a capture.capture
+--   builder = a show.tree, buses = a capture.capture
 --   reading    a reading.reading, frames = a host.can, deferral = its host.deferral
 --   find_options  function() -> list of tshark's options that may decode other packets, and
 --              those of them that certainly decode YAPP
@@ -90,7 +90,7 @@ local function tap_clock(self)
     if self.is_exact then return end
     for _, info in ipairs { all_field_infos() } do
       if info.name == "frame.time_epoch" then
-        self.queue.dates:set_first(info.value.secs, info.value.nsecs, self.buses:time(pinfo))
+        self.current.dates:set_first(info.value.secs, info.value.nsecs, self.buses:time(pinfo))
         self.is_exact = true
       end
     end
@@ -98,22 +98,14 @@ local function tap_clock(self)
   return clock
 end
 
--- Make the tap that reads CAN headers once tap_packets has removed its own.
-local function tap_headers(self)
-  local tap, deferral = add_tap(self), self.deferral
-  tap.packet = self.counted(function(pinfo, tvb) deferral:on_header(pinfo, tvb) end)
-  return tap
-end
-
 -- The exact time is known: remove the tap of the clock, which builds trees.  If a filter has trees
 -- built anyway, it stays: they have CAN ids, too.
-local function end_trees(self, tap, clock)
+local function end_trees(self, clock)
   self.builder:set_only_pass()
   if not self.has_filter then
     clock:remove()
     self.deferral:allow()
   end
-  if self.queue:begin_direct() then self.intake:remove_later(tap) end
 end
 
 -- The tap that sees every packet.  In tshark it removes the tap of the clock once the exact time is
@@ -121,7 +113,7 @@ end
 local function tap_packets(self)
   local tap, clock, is_waiting = add_tap(self), tap_clock(self), IS_TSHARK
   local calls, buses, deferral = self.calls, self.buses, self.deferral
-  local function lacks_clock() return not select(2, buses:has_times()) end
+  local function has_clock() return select(2, buses:has_times()) end
 
   -- Every packet comes here, so nothing else is called that need not be.
   function tap.packet(pinfo, tvb)
@@ -129,18 +121,18 @@ local function tap_packets(self)
     if deferral.number then deferral:on_header(pinfo, tvb) end
     if is_waiting and self.is_exact then
       is_waiting = false
-      if not self.frames:is_second_pass(pinfo.number) then end_trees(self, tap, clock) end
+      if not self.frames:is_second_pass(pinfo.number) then end_trees(self, clock) end
     end
     if deferral.is_undecided then deferral:decide(self.builder.wanted) end
-    self.queue:packet(pinfo.number, pinfo.rel_ts, lacks_clock)
+    self.current:packet(pinfo.number, pinfo.rel_ts, has_clock)
     calls.ended = calls.ended + 1
   end
 
   -- All packets will be revisited.  In Wireshark another window that wants to read while this
   -- statistic reads resets all taps, too, although Wireshark then goes on with this reading.
   function tap.reset()
-    if not IS_TSHARK and self.queue.packets > 0 then return end
-    self.queue:reset()
+    if not IS_TSHARK and self.current.packets > 0 then return end
+    self.current:reset()
     self.is_exact = false
     self.deferral:reset_counts()
   end
@@ -148,13 +140,10 @@ end
 
 local function open(self)
   self.command, self.began = command.options(), os.time()
-  self.queue, self.taps = queue.new(self.settings, hint_of(self.command)), {}
-  self.is_exact, self.has_filter, self.headers = false, false, nil
-  self.intake:open(self.queue)
-  self.reading:listen(self.intake)
-  self.deferral:open(function()
-    if self.queue.is_direct then self.headers = self.headers or tap_headers(self) end
-  end)
+  self.current, self.taps = run_of.new(self.settings, hint_of(self.command)), {}
+  self.is_exact, self.has_filter = false, false
+  self.reading:listen(self.current)
+  self.deferral:open(function() end)
   self.watch(self.command.r or self.command["read-file"])
   tap_packets(self)
 end
@@ -163,21 +152,18 @@ local function close(self)
   for _, tap in ipairs(self.taps) do tap:remove() end -- a tap that stays would build trees for ever
   self.reading:listen(false)
   self.deferral:close()
-  self.intake:close()
 end
 
 -- Return why packets of the capture were not read, nil if all were.
 local function explain_unread(self)
-  local packets = self.queue.packets
+  local packets = self.current.packets
   if not IS_TSHARK then
     return packets < self.total and UNREAD:format(packets, self.total) or nil
   end
   local files = command.count_later_files(self.command, self.began)
   if files == 0 then return nil end
-  -- Where events are handed on at once, no tap counts the packets.
-  local read = self.queue.is_direct and "those of the first file" or
-    output.count(packets, "packet")
-  return GOES_ON:format(read, files and output.count(files, "more file") or "more files")
+  local more = files and output.count(files, "more file") or "more files"
+  return GOES_ON:format(output.count(packets, "packet"), more)
 end
 
 -- End all statistics; return the exit code, and a list of texts to say.
@@ -186,10 +172,9 @@ local function finish(self)
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
   local reading, buses, deferral = self.reading, self.buses, self.deferral
   local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
-  self.queue:end_packets()
   local options, certain = self.find_options()
-  return self.queue:finish {
-    unfinished = self.intake:finish(reading:finish(MAY_GO_ON)),
+  return self.current:finish {
+    results = reading:finish(MAY_GO_ON),
     drops = joined(buses:drops(), reading:drops()),
     lacks_times = not buses:has_times(),
     options = options,
@@ -214,7 +199,7 @@ end
 -- Begin the statistic of an argument of -z.
 -- context  { out, frames } of output.print
 local function begin_statistic(self, text, context)
-  local options, events = options_of.parse(text, self.settings.catalogue), self.queue
+  local options, events = options_of.parse(text, self.settings.catalogue), self.current
   -- In tshark, check names errors in its report, too.
   if options.problems[1] and (context.frames or options.what ~= "check") then
     error(table.concat(options.problems, "\n"), 0)
@@ -277,7 +262,7 @@ end
 
 -- One -z argument.
 local function begin_argument(self, text)
-  if not self.queue then
+  if not self.current then
     open(self)
     local tap = Listener.new("frame") -- for the end alone: tap_packets may remove its own
     function tap.draw() conclude(self) end
@@ -308,13 +293,13 @@ end
 -- analyses no more than a few packets.
 function Stat:reset()
   self.total = 0
-  if IS_TSHARK and self.queue and self.queue.packets > 0 then self.queue:stop() end
+  if IS_TSHARK and self.current and self.current.packets > 0 then self.current:stop() end
 end
 
 --- Register the menus of Wireshark.
 function Stat:register_menus()
   local on_packets
-  self.show, on_packets = menu.register(self)
+  self.show, on_packets = windows.register(self)
   count_packets(self, on_packets)
 end
 

@@ -1,16 +1,17 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- Messages that were not decoded, or only in part: their number, sources and sizes, and the
--- preferences that decode them.  Pure Lua, 5.2 to 5.5.
+-- preferences of IDs that decode them.  Pure Lua, 5.2 to 5.5.
 
 local compiler = require "yapp.message.catalogue"
 local input = require "yapp.base.input"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
-local source_names = require "yapp.message.sources"
 
 local M = {}
 
 local MAX_NAMED = 30 -- sources, or sizes, in a text
+
+local OTHER_CTL = " with a YAPP CTL other than 0, see yapp.all_extended"
 
 local bus_and_id = output.bus_and_id
 
@@ -26,53 +27,39 @@ end
 function M.new(settings)
   return setmetatable({
     settings = settings,
-    -- Messages that were not decoded at all: { source, size, likes = messages of this size,
-    -- is_own = true if that of the source is one, is_decodable = true if a preference of IDs can
-    -- decode it, about = a text, values = of its events } each.
+    -- Messages that were not decoded at all: { source, size, likes = messages of this size or those
+    -- that a preference of IDs can decode, about = a text, values = of its events } each.
     whole = {},
     parts = {}, -- the same of those whose first bytes were decoded
-    sizes = {}, -- by ID: the size of decodable messages; false for several, or if it has a message
     by_source = memo(new_list), -- by source, by size
   }, Undecoded)
 end
 
 -- Return the text about a size.
--- own     the source's message, is_own = true if this message has the size
--- titles  of the messages that have it
-local function describe(own, is_own, titles)
-  if is_own then return ("%s with a YAPP CTL other than 0"):format(own.title) end
+-- own    the source's message type, or nil; likes: message types of this size
+local function describe(own, likes)
+  local titles = {}
+  for i, message_type in ipairs(likes) do
+    if message_type == own then return own.title .. OTHER_CTL end
+    titles[i] = message_type.title
+  end
   if titles[1] then return "the size of " .. table.concat(titles, " and of ") end
   return own and ("%s has %d"):format(own.title, own.size) or "the size of no known message"
 end
 
 local function new_entry(self, source, size, rest)
-  local own, titles, is_own = source.type, {}, false
+  local own, messages = source.type, self.settings.catalogue.messages
   local is_grown = own and size > own.size -- it begins with the own message
-  local likes = is_grown and {} or compiler.of_size(self.settings.catalogue.messages, size)
-  for i, of_type in ipairs(likes) do
-    titles[i] = of_type.title
-    is_own = is_own or of_type == own
-  end
-  local about, like = describe(own, is_own, titles), likes[1]
+  local likes = is_grown and {} or compiler.of_size(messages, size)
+  local about, like = describe(own, likes), likes[1]
   local note = rest and ("the last %d not decoded, "):format(rest) or "not decoded, "
   return {
     source = source,
     size = size,
     likes = likes,
-    is_own = is_own,
-    is_decodable = not (rest or is_own) and like and source.id <= input.MAX_ID,
     about = about,
     values = { size = size, count = 0, note = note .. about, like = like and like.name },
   }
-end
-
-local function add(self, entry, list)
-  local id, sizes, size = entry.source.id, self.sizes, entry.size
-  list[#list + 1] = entry
-  if entry.is_decodable then
-    local is_only = sizes[id] == nil or sizes[id] == size
-    sizes[id] = is_only and not entry.source.type and size
-  end
 end
 
 --- Count a message.
@@ -85,10 +72,21 @@ function Undecoded:count(source, size, rest)
   if not entry then
     entry = new_entry(self, source, size, rest)
     by_size[size] = entry
-    add(self, entry, rest and self.parts or self.whole)
+    table.insert(rest and self.parts or self.whole, entry)
   end
   entry.values.count = entry.values.count + 1
   return entry.values
+end
+
+--- Return of how many sources messages were not decoded at all.
+-- came  a set of sources: these are added
+function Undecoded:count_sources(came)
+  local seen, count = {}, 0
+  for _, entry in ipairs(self.whole) do
+    if not seen[entry.source] then count = count + 1 end
+    seen[entry.source], came[entry.source] = true, true
+  end
+  return count
 end
 
 -- Preferences -------------------------------------------------------------------------------------
@@ -107,59 +105,37 @@ local function ranges_of(ids)
   return table.concat(texts, ",")
 end
 
--- "can1/0x210=health:left", a part of yapp.sources.
-local function part_of(entry)
-  local source = entry.source
-  local address = source_names.address_text(source.bus, source.id)
-  return ("%s=%s:%s"):format(address, entry.likes[1].name, source.name or "")
-end
-
--- Return the preferences that decode the entries: by message the IDs for all buses, parts of
--- yapp.sources for other IDs, and a list of other options.
-local function plan(self)
-  local ids, parts, options, taken = {}, {}, {}, {}
-  for _, row in ipairs(self.settings.sources:list()) do
-    if row.id then taken[bus_and_id(row)] = true end -- the first part for a bus and ID holds
-  end
+-- Return the IDs that a preference may decode, by message type: each of the messages of an ID has
+-- the size of this type, and the ID carries no other.
+local function decodable_ids(self)
+  local sizes, ids = {}, memo(new_list)
   for _, entry in ipairs(self.whole) do
-    local id, key = entry.source.id, bus_and_id(entry.source)
-    if entry.is_own then
-      options[1] = "-o yapp.all_extended:TRUE"
-    elseif entry.is_decodable and self.sizes[id] then
-      for _, of_type in ipairs(entry.likes) do
-        ids[of_type] = ids[of_type] or {}
-        table.insert(ids[of_type], id)
-      end
-    elseif entry.is_decodable and not taken[key] then
-      taken[key], parts[#parts + 1] = true, part_of(entry)
+    local id, size = entry.source.id, entry.size
+    if entry.likes[1] then
+      local is_only = not entry.source.type and (sizes[id] or size) == size
+      sizes[id] = is_only and size or 0
     end
   end
-  return ids, parts, options
-end
-
--- Return a text in quotes that a shell takes as it is.  Windows has double quotes alone, but a name
--- with one of these signs would end them, or run a program.
-local function in_quotes(text)
-  if not text:find('["$`\\!]') then return '"' .. text .. '"' end
-  return "'" .. text:gsub("'", "'\\''") .. "'"
+  for _, entry in ipairs(self.whole) do
+    local id = entry.source.id
+    if sizes[id] == entry.size and id <= input.MAX_ID then
+      for _, message_type in ipairs(entry.likes) do table.insert(ids[message_type], id) end
+    end
+  end
+  return ids
 end
 
 -- Return the complete preferences that decode the rest: a text, "" for none.
 local function advice_of(self)
-  local settings, sizes = self.settings, {}
-  local ids, parts, texts = plan(self)
-  for _, of_type in ipairs(settings.catalogue.messages) do
-    local list = ids[of_type]
-    if list then
-      for _, id in ipairs(settings.ids[of_type.name]) do list[#list + 1] = id end
-      local option = ("-o yapp.%s_ids:%s"):format(of_type.name, ranges_of(list))
-      texts[#texts + 1] = sizes[of_type.size] and "or " .. option or option
-      sizes[of_type.size] = true
+  local settings, ids, texts, sizes = self.settings, decodable_ids(self), {}, {}
+  for _, message_type in ipairs(settings.catalogue.messages) do
+    local list = ids[message_type]
+    if list[1] then
+      for _, id in ipairs(settings.ids[message_type.name]) do list[#list + 1] = id end
+      local option = ("-o yapp.%s_ids:%s"):format(message_type.name, ranges_of(list))
+      texts[#texts + 1] = sizes[message_type.size] and "or " .. option or option
+      sizes[message_type.size] = true
     end
-  end
-  if parts[1] then
-    if settings.sources_text:find("%S") then table.insert(parts, 1, settings.sources_text) end
-    texts[#texts + 1] = "-o " .. in_quotes("yapp.sources:" .. table.concat(parts, ","))
   end
   return texts[1] and ". Try " .. table.concat(texts, " ") or ""
 end
@@ -200,8 +176,7 @@ local function text_of(entries, what)
     texts[i], total = text, total + count
   end
   if total == 0 then return nil end
-  local count, were = output.count(total, "message"), total == 1 and "was" or "were"
-  return ("%s %s %s: %s"):format(count, were, what, join(texts, "; "))
+  return ("%s %s: %s"):format(output.were(total, "message"), what, join(texts, "; "))
 end
 
 --- Return the texts on undecoded messages and the preferences that decode them: a list, empty for

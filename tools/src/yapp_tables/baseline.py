@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -80,8 +81,7 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
         share = f"{(margin * 100).normalize():f}"
         head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=share)
         # The gate itself says which rules these flights keep, and what part of the values is reserved.
-        tried = [*rules, *shares, *constants]
-        Path(aside, "rules").write_text(_text(head, tried), encoding="utf-8")
+        Path(aside, "rules").write_text(_text(head, [*rules, *shares, *constants]), encoding="utf-8")
         verdicts = {name: rows for name, (rows, _) in zip(names, ask("check,rules=rules,json"), strict=True)}
         _mark_lost([*rules, *shares, *constants], verdicts)
         rules += [rule for rule in shares if _learn_share(rule, margin)]
@@ -106,8 +106,7 @@ def _extremes(flights: dict[str, list[Record]]) -> dict[tuple[str, str], list[Ex
             seen = {f"{row['field']}.spread": (row["spread"], row["spread"])}
         elif "rate" in row:
             for measure, value in (("rate", row["rate"]), ("gap", row["gap_max"])):
-                # A field of the user's may have this name.
-                seen[f"{measure}.messages" if measure in row["values"] else measure] = value, value
+                seen[measure] = value, value
             for field, value in row["values"].items():
                 seen[f"{field}.numbers"] = value["min"], value["max"]
                 seen[f"{field}.mean"] = value["mean"], value["mean"]
@@ -161,8 +160,7 @@ def _rule(
 
     covered: what the margin is a share of; apart: how far flights are apart at least, below and above.
     """
-    measure = what.removesuffix(".messages").rpartition(".")[2]
-    what = what.removesuffix(".numbers")  # a range judges no reserved values
+    measure = what.rpartition(".")[2]
     from_zero = measure in ("rate", "gap", "spread")
     share = margin * (max(high for _, high, _ in covered) - (0 if from_zero else min(low for low, _, _ in covered)))
     room = ROOM_OF_RATIO if measure == "ratio" else Decimal(1)
@@ -170,7 +168,9 @@ def _rule(
     bottom, lowest = _limit([(low, name) for low, _, name in found], share, margin, -1, apart[0], room)
     if measure in ("gap", "spread"):
         return Rule(source, f"{what}={top}", highest)
-    return Rule(source, f"{what}={bottom}..{top}", f"{lowest}, {highest}")
+    # A field of the user's may have the name of a measure.
+    text = re.sub(r"\.(count|rate|gap)\.numbers$", r".\1.value", what).removesuffix(".numbers")
+    return Rule(source, f"{text}={bottom}..{top}", f"{lowest}, {highest}")
 
 
 def _apart(values: Sequence[Decimal], sign: int) -> Decimal:

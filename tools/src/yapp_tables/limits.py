@@ -14,7 +14,7 @@ from .series import Array, Source
 from .tables import Column
 
 Record = dict[str, Any]
-RANGE = re.compile(r"(\w+)\.(\w+)=(-?[\d.]*?)\.\.(-?[\d.]*)")
+RANGE = re.compile(r"(\w+)\.(\w+)(?:\.value)?=(-?[\d.]*?)\.\.(-?[\d.]*)")
 RATE = 60.0  # seconds: how fast a value moves is taken over so long
 AMBER = 0.1  # of the way from a typical value to a limit
 

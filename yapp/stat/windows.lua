@@ -2,9 +2,9 @@
 -- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, and help.
 -- Wireshark's API.
 
-local measures = require "yapp.stat.measures"
 local options_of = require "yapp.stat.options"
 local output = require "yapp.stat.output"
+local rules_of = require "yapp.stat.rules"
 
 local M = {}
 
@@ -136,7 +136,7 @@ local function open_help()
   for _, row in ipairs(options_of.LIST) do
     lines = lines .. ("%-15s%s\n"):format(row.title, row.help)
   end
-  for _, row in ipairs(measures.LIST) do
+  for _, row in ipairs(rules_of.LIST) do
     rules = rules .. ("%-25s%s\n"):format(row.text, row.help)
   end
   help = TextWindow.new("YAPP Help")

@@ -1,34 +1,50 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- From the dissectors to the statistics: passes, filters, parts of one message, times.
+-- A run over a capture: passes, filters, times, the end.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local kinds = require("yapp.stat.kinds")
-local queue_of = require("yapp.stat.queue")
+local events_of = require("yapp.stat.events")
+local run_of = require("yapp.stat.run")
 
 local T = {}
+
+-- Events stand for results here.
+local append = events_of.append
+function T.setUp()
+  function events_of.append(list, result) list[#list + 1] = result.event end
+end
+function T.tearDown() events_of.append = append end
 
 local SOURCE = { key = 1, id = 1 }
 local SETTINGS = { late = 2.5, ids = {}, sources_text = "", catalogue = { messages = {} },
   sources = { list = function() return {} end } }
 
 local function new_queue()
-  return queue_of.new(SETTINGS)
+  return run_of.new(SETTINGS)
 end
 
 local function add(queue, statistic, filter, row)
   return queue:add(statistic, { filter = filter, row = row or {} })
 end
 
+local function result_of(event, visited)
+  return { kind = event.kind, frame = { number = event.frame, visited = visited or false }, event = event }
+end
+
 local function finish(queue, unfinished, unread)
-  return { queue:finish { unfinished = unfinished or {}, unread = unread, drops = {}, extended = 0, can = 0 } }
+  local results = {}
+  for i, event in ipairs(unfinished or {}) do results[i] = result_of(event) end
+  return { queue:finish { results = results, unread = unread, drops = {}, extended = 0, can = 0 } }
 end
 
 -- A statistic that notes the raw values of what it gets, which are names here.
 local function notes(code, text)
   local self = { got = {} }
-  function self.add_event(_, event) self.got[#self.got + 1] = event.raws end
+  function self.add_event(_, event)
+    if event.kind ~= "clock" and event.kind ~= "silence" then self.got[#self.got + 1] = event.raws end
+  end
   function self.finish(_, ending)
-    self.last, self.begin = ending.rel, ending.begin
+    self.last, self.begin = ending.last, ending.begin
     return code, text
   end
   return self
@@ -40,44 +56,7 @@ local function event_of(frame, name, kind, values)
 end
 
 local function offer(queue, frame, name, values, visited)
-  queue:offer(event_of(frame, name, "message", values), visited or false)
-end
-
--- The stamps of recorders: seconds that each is behind, in the order in which their packets first come.
-local RECORDERS = { { 0, 9, 4 }, { 0, 3, 1 }, { 4, 0, 9 }, { 0, 7.4 }, { 1, 0, 2.3, 7 } }
-
--- Each source has a recorder of its own.  Foreign packets come from a recorder that is so many seconds behind the first
--- one.  Once each recorder is known, the time that went by is right to the time between two packets.
--- count  of packets of a message
-local function assert_time_of(behind, foreign, count)
-  local queue, one, number = new_queue(), notes(), 0
-  local sources, since = {}, nil
-  for i in ipairs(behind) do sources[i] = { key = i, id = i } end
-  add(queue, one)
-  local function packet(stamp)
-    number = number + 1
-    queue:packet(number, stamp, function() return false end)
-  end
-  for i = 1, 40 do
-    for k, source in ipairs(sources) do
-      local stamp = i * 0.1 + k * 0.01 - behind[k]
-      for _ = 2, count do packet(stamp) end
-      queue:offer(kinds.new_event("message", number + 1, stamp, source, nil, { payload = "a" }), false)
-      packet(stamp)
-    end
-    packet(i * 0.1 + 0.05 - behind[1] - foreign)
-    since = i <= 5 and queue.now - i * 0.1 or since
-    lu.assertAlmostEquals(queue.now - since, i * 0.1, 0.05, table.concat(behind, " "))
-  end
-  finish(queue)
-end
-
-function T.test_stamps_of_several_recorders()
-  for _, behind in ipairs(RECORDERS) do
-    for _, foreign in ipairs { 0, 5.3, -5.3, 0.6, -0.6 } do
-      for count = 1, 2 do assert_time_of(behind, foreign, count) end
-    end
-  end
+  queue:report(result_of(event_of(frame, name, "message", values), visited))
 end
 
 -- A live capture went on in another file: its packets are none of this one, and nothing is lost at the end.
@@ -109,20 +88,6 @@ function T.test_events_of_earlier_packets()
   lu.assertEquals(one.got, { "b", "c", "of the latest packet", "d" })
 end
 
--- What the reading still had when all packets had come.
-function T.test_events_of_the_end()
-  local queue, one = new_queue(), notes()
-  add(queue, one)
-  queue.dates:set_first(1700000000, 500000000, 0)
-  offer(queue, 1, "a")
-  queue:packet(1, 1)
-  queue:end_packets()
-  offer(queue, 7, "b")
-  lu.assertEquals(one.got, { "a", "b" })
-  finish(queue)
-  lu.assertEquals(one.begin, 1700000000.5)
-end
-
 function T.test_messages_in_the_order_of_the_capture()
   local queue, one = new_queue(), notes()
   add(queue, one)
@@ -136,29 +101,6 @@ function T.test_messages_in_the_order_of_the_capture()
   queue:packet(5, 9)
   lu.assertEquals(finish(queue, { event_of(3, "d", "unfinished") }), { 0, {} })
   lu.assertEquals({ one.got, one.last }, { { "a", "b", "c", "d" }, 9 })
-end
-
--- Where nothing has a filter or rests on what comes when, messages need not wait.
-function T.test_messages_that_do_not_wait()
-  local queue, one = new_queue(), notes()
-  one.wants_messages_only = true
-  add(queue, one, nil, { table_only = true })
-  offer(queue, 1, "a")
-  lu.assertTrue(queue:begin_direct())
-  local compare = new_queue()
-  add(compare, { wants_messages_only = true })
-  lu.assertFalse(compare:begin_direct()) -- its spreads need the steps of the capture's clock
-  queue:packet(1, 1)
-  offer(queue, 2, "b")
-  lu.assertEquals(one.got, { "a", "b" })
-  lu.assertEquals(finish(queue), { 0, {} })
-  local other = notes()
-  other.wants_messages_only = true
-  add(queue, other, "filter")
-  lu.assertFalse(queue:begin_direct())
-  queue = new_queue()
-  add(queue, notes())
-  lu.assertFalse(queue:begin_direct())
 end
 
 function T.test_an_unreliable_history()

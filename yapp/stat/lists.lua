@@ -1,0 +1,142 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- -z yapp,events: all events, in the order of time; and -z yapp,faults: the faults among these,
+-- when each flag rose and fell, on which source, for how long.  Pure Lua, 5.2 to 5.5.
+
+local joined = require "yapp.base.joined"
+local kinds = require "yapp.stat.kinds"
+local output = require "yapp.stat.output"
+
+local M = {}
+
+local WHEN_AND_WHO = {
+  { "time" },
+  { "rel" },
+  { "frame" },
+  { "who" },
+  { "bus" },
+  { "id" },
+  { "source" },
+}
+local KIND = { "kind", type = "string", where = "json",
+  help = "what happened: `fault`, `reboot`, `silence` and others, see statistics.md" }
+-- A line of JSON has the keys of its kind alone, see stat.kinds.
+local EVENTS = output.columns(joined({ KIND }, WHEN_AND_WHO, {
+  { "message" },
+  { "kind", where = "text", title = "event" },
+  { "details", where = "text window" },
+  -- The values of the kinds:
+  { "field", where = "" },
+  { "flag", where = "" },
+  { "event", where = "" },
+  { "active", where = "" },
+  { "length", type = "seconds", unit = "s", where = "",
+    help = "of a silence, a jump or a step of the clock; of `skipped`: bytes" },
+  { "what", type = "string", where = "", help = "of `incomplete`: what was wrong with it" },
+  { "value", type = "text", where = "", help = "of `invalid`: what the field had" },
+  { "size", type = "integer", where = "", help = "of `unknown`: bytes of each message" },
+  { "count", type = "integer", where = "", help = "how many messages or packets; null for one" },
+  { "like", type = "string", where = "", help = "of `unknown`: the message that has this size" },
+}))
+local FAULTS = output.columns(joined(WHEN_AND_WHO, {
+  { "message", where = "json text" },
+  { "field", where = "json text" },
+  { "flag" },
+  { "event" },
+  { "active" },
+  { "help", type = "string", where = "json text", help = "what the catalogue says of the flag" },
+}))
+--- The columns of both, see output.columns.
+M.COLUMNS = { events = EVENTS, faults = FAULTS }
+
+-- The keys of a line of JSON, by kind.
+local KEYS_OF_KIND = {}
+for _, row in ipairs(kinds.LIST) do
+  KEYS_OF_KIND[row.name] = joined(EVENTS.json, output.words(row.keys or ""))
+end
+
+local Lists = { follows_changes = true }
+Lists.__index = Lists
+
+--- Make the statistic.
+-- options  { what = "events" or "faults" }
+-- context  { dates = a stat.dates; and the rest for output.print }
+function M.new(options, context)
+  return setmetatable({ what = options.what, context = context, list = {} }, Lists)
+end
+
+--- Add an event, see stat.answer.  Messages that were not decoded have one event for each source
+-- and size.
+function Lists:add_event(event)
+  local row = kinds.BY_NAME[event.kind]
+  local is_listed = self.what == "events" and row and not row.is_counted_only
+  local is_wanted = is_listed or event.kind == "fault"
+  local is_repeated = event.kind == "unknown" and event.values.count > 1
+  if is_wanted and not is_repeated then
+    self.list[#self.list + 1] = event
+  end
+end
+
+local function row_of(self, event, ending)
+  local time = event.time
+  local row = {
+    kind = event.kind,
+    frame = event.frame,
+    time = time and self.context.dates:value(time),
+    rel = output.seconds(event.rel),
+    details = nil,
+    keys = self.what == "events" and KEYS_OF_KIND[event.kind] or nil,
+  }
+  for key, value in pairs(event.values) do
+    row[key] = value
+  end
+  if ending.lacks_times then row.active, row.after = nil, nil end
+  local function fill(key) return output.text(row[key], true) end
+  row.details = kinds.BY_NAME[event.kind].text:gsub("{(%w+)}", fill)
+  return output.row(event.source, row)
+end
+
+-- In the order of the capture.  Events without a packet come last.
+local function order_of(event)
+  return event.frame or math.huge
+end
+
+-- Return how many times a source had faults: one for all flags that are set without a break.
+local function count_incidents(list)
+  local seen, count = {}, 0
+  for _, event in ipairs(list) do
+    local incident = event.values.incident
+    if not seen[incident] then seen[incident], count = true, count + 1 end
+  end
+  return count
+end
+
+-- Where sources were not decoded, no number of faults is known.
+local function title_of_faults(list, ending)
+  local count = count_incidents(list)
+  if ending.unknown == 0 then return count end
+  local shape = "UNKNOWN, %d of %s not decoded, %d in what was decoded"
+  return shape:format(ending.unknown, output.count(ending.sources, "source"), count)
+end
+
+--- End, see stat.answer.
+function Lists:finish(ending, notes)
+  local what, list, code = self.what, {}, nil
+  for _, event in ipairs(self.list) do
+    local is_sure = not (ending.lacks_times and kinds.BY_NAME[event.kind].needs_time)
+    if is_sure then list[#list + 1] = event end
+  end
+  local count = #list
+  if what == "events" then
+    output.sort(list, order_of)
+  else
+    count = title_of_faults(list, ending)
+    code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
+  end
+  local title = ("YAPP %s: %s"):format(what, count)
+  output.print(self.context, title, M.COLUMNS[what], list, notes, function(event)
+    return row_of(self, event, ending)
+  end)
+  return code
+end
+
+return M

@@ -1,0 +1,325 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The rules of `check`: their measures, a row each, and how they are read.  The list of rules in
+-- errors, the help and the verdicts follow from the rows.  Pure Lua, 5.2 to 5.5.
+--
+-- A rule is {
+--   text     as the user wrote it
+--   source   name of the source that it is about, nil for all
+--   kind     a row of stat.kinds, or of the measures below
+--   low, high  the limits of what its measure returns
+--   message, field  compiled, nil for a rule about none
+--   range    limits of each value of the field, { low, high }, where the measure counts the values
+--            outside
+--   is_spread  true if it is about the spread of all sources
+--   is_default  true if it stands for `check` without rules }
+-- A rule about a field is an entry of Groups:wants, too.
+
+local field_kinds = require "yapp.message.field_kinds"
+local groups = require "yapp.stat.groups"
+local input = require "yapp.base.input"
+local joined = require "yapp.base.joined"
+local kinds = require "yapp.stat.kinds"
+local output = require "yapp.stat.output"
+
+local M = {}
+
+local demand, decimal, find = input.demand, input.decimal, input.find
+
+local INFINITE = math.huge
+local NO_VALUE = "no good message of it was decoded"
+local ALL_RESERVED = "all its values are reserved"
+local RANGE = "a range is A..B, A.. or ..B"
+local SAME_SEQ = {
+  value = "Seq No never changes: lost messages do not show",
+  text = "Seq No never changes: lost messages do not show",
+  short = "Seq No never changes",
+}
+
+-- Measures ----------------------------------------------------------------------------------------
+--
+-- A measure is a function(group, rule, check), which returns the value to judge, its frame, a note,
+-- and the value that is farthest outside.  If there is none to judge: nil, nil, why.
+
+local function measure_rate(group)
+  local rate = groups.rate(group) or group.count == 1 and 0 or nil
+  if not rate then return nil, nil, "no two messages at different times" end
+  return rate, group.last.frame
+end
+
+local function measure_gap(group, _, check)
+  if group.count == 0 then return nil, nil, NO_VALUE end
+  local gap, frame = group.gap_max or 0, group.gap_max_frame
+  local to_end = check.ending.length_since(group.last)
+  if to_end > gap then gap, frame = to_end, nil end
+  return gap, frame or group.last.frame
+end
+
+-- Return whether a rule judges which share of a field's values is reserved.
+local function has_special(check, group, field)
+  for _, rule in ipairs(check.options.rules) do
+    local is_about = rule.field == field and M.is_of(rule, group.source)
+    if is_about and rule.kind.name == "special" then return true end
+  end
+end
+
+local function measure_range(group, rule, check)
+  local values = group.values[rule]
+  if values.seen == 0 then return nil, nil, NO_VALUE end
+  if values.count == 0 and not has_special(check, group, rule.field) then
+    return nil, nil, ALL_RESERVED
+  end
+  return values.outside, values.frame, ("of %d values"):format(values.seen), values.worst
+end
+
+local function measure_special(group, rule)
+  local values = group.values[rule]
+  if values.seen == 0 then return nil, nil, NO_VALUE end
+  return (values.seen - values.count) / values.seen, nil, ("of %d values"):format(values.seen)
+end
+
+local function measure_mean(group, rule)
+  local values = group.values[rule]
+  if values.seen == 0 then return nil, nil, NO_VALUE end
+  if values.count == 0 then return nil, nil, ALL_RESERVED end
+  return groups.row(group, values).mean, nil, ("of %d values"):format(values.count)
+end
+
+-- Divide the mean of a source by the median of the other sources' means.
+local function measure_ratio(group, rule, check)
+  local own, _, note = measure_mean(group, rule)
+  if not own then return nil, nil, note end
+  local means = {}
+  for _, other in ipairs(check.list) do
+    local is_other = other ~= group and other.type == group.type
+    means[#means + 1] = is_other and measure_mean(other, rule) or nil
+  end
+  if not means[1] then return nil, nil, "no other source of it has a value" end
+  note = ("of %s"):format(output.count(#means, "other source"))
+  local middle = groups.median(means)
+  if middle == 0 then return nil, nil, "the median of the other sources is 0" end
+  return own / middle, nil, note
+end
+
+local function measure_spread(_, rule, check)
+  local spread = check.spreads[rule]
+  if not spread.worst then return nil, nil, "no two sources of it have a value at one time" end
+  return spread.worst, spread.frame
+end
+
+-- name     of the measure
+-- text     a rule of it, as errors and docs/statistics.md name it
+-- help     its meaning, for people
+-- measure  see above
+-- bound    the limit that a number is: "low" or "high"; is_count = true if it has no fraction
+-- takes_range  true if the limit may be A..B, A.. or ..B; nothing else if there is no bound
+-- judges_values  true if that is the range of each value
+-- needs_past, needs_time, can_fall, scope  as in rows of kinds
+
+--- MESSAGE.NAME=LIMIT
+M.OF_MESSAGE = {
+  {
+    name = "count",
+    text = "MESSAGE.count=N",
+    help = "at least N messages came",
+    measure = function(group) return group.count, group.last and group.last.frame end,
+    bound = "low",
+    is_count = true,
+  },
+  {
+    name = "rate",
+    text = "MESSAGE.rate=A..B",
+    help = "the mean rate lies within these Hz",
+    measure = measure_rate,
+    bound = "low",
+    takes_range = true,
+    needs_past = true,
+    needs_time = true,
+    can_fall = true,
+  },
+  {
+    name = "gap",
+    text = "MESSAGE.gap=S",
+    help = "no gap between two messages is longer than S seconds",
+    measure = measure_gap,
+    bound = "high",
+    needs_past = true,
+    needs_time = true,
+  },
+}
+
+--- MESSAGE.FIELD=LIMIT of the first row, MESSAGE.FIELD.NAME=LIMIT of the others.
+M.OF_FIELD = {
+  {
+    name = "range",
+    text = "MESSAGE.FIELD=A..B",
+    help = "all values but reserved ones lie within",
+    measure = measure_range,
+    takes_range = true,
+    judges_values = true,
+  },
+  {
+    name = "special",
+    text = "MESSAGE.FIELD.special=X",
+    help = "at most this share of the values is reserved, 0.05 for 5 %",
+    measure = measure_special,
+    bound = "high",
+    can_fall = true,
+  },
+  {
+    name = "mean",
+    text = "MESSAGE.FIELD.mean=A..B",
+    help = "the mean of all values but reserved ones lies within",
+    measure = measure_mean,
+    takes_range = true,
+    can_fall = true,
+  },
+  {
+    name = "ratio",
+    text = "MESSAGE.FIELD.ratio=A..B",
+    help = "the mean, divided by the median of the other sources' means, lies within",
+    measure = measure_ratio,
+    takes_range = true,
+    can_fall = true,
+  },
+  {
+    name = "spread",
+    text = "MESSAGE.FIELD.spread=X",
+    help = "the spread of all sources is never more than X",
+    measure = measure_spread,
+    bound = "high",
+    scope = "capture",
+    needs_time = true,
+  },
+}
+
+--- All of these rows.
+M.LIST = joined(M.OF_MESSAGE, M.OF_FIELD)
+
+-- How many events of a kind there are.
+local function count_events(group, rule)
+  local kind = rule.kind
+  local count = groups.count(group, kind.name)
+  local needed = kind.needs_values and group.decoded or kind.needs_past and group.count
+  if needed == 0 then return nil, nil, NO_VALUE end
+  return count.seen, count.frame, count.values.note
+end
+
+-- The kinds that count in another way, by name.
+local of_kind = {}
+
+function of_kind.absent(_, rule, check)
+  local names, is_named, others = {}, rule.is_default, 0
+  for _, row in ipairs(check.context.settings.sources:list()) do
+    if M.is_of(rule, row) and row.type then
+      is_named = true
+      if check.absent[row] then names[#names + 1] = row.name or output.bus_and_id(row) end
+    elseif M.is_of(rule, row) then
+      others = others + 1
+    end
+  end
+  if not is_named then return nil, nil, "no source is named with a message: see yapp.sources" end
+  local count, more = #names, output.count(others, "name") .. " without a message not judged"
+  if others > 0 then names[count + 1] = more end
+  return count, nil, table.concat(names, ", ")
+end
+
+function of_kind.missing(group, rule, check)
+  local seen, frame, note = count_events(group, rule)
+  local is_numbered = check.ending.events.by_source[group.source].is_numbered
+  if group.count > 1 and not is_numbered then note = SAME_SEQ end
+  return seen, frame, note
+end
+
+--- Return whether a rule is about a source, by the name that it gives.
+function M.is_of(rule, source)
+  return not rule.source or source.name == rule.source
+end
+
+--- Measure the subject of a rule; see above.
+function M.measure(group, rule, check)
+  local kind = rule.kind
+  return (kind.measure or of_kind[kind.name] or count_events)(group, rule, check)
+end
+
+-- Reading -----------------------------------------------------------------------------------------
+--
+-- These functions raise errors.
+
+-- Return a number that is not below 0; for a count one without a fraction.
+local function parse_limit(text, what, is_count)
+  local value = decimal(text)
+  local is_good = value and value >= 0 and not (is_count and text:find("%D"))
+  return demand(is_good and value, "%q is not a %s", text, what)
+end
+
+-- An end of a range, which may be left out.
+local function parse_end(text, none)
+  if text == "" then return none end
+  return demand(decimal(text), RANGE)
+end
+
+-- Return the ends of A..B, A.. or ..B.
+local function parse_range(text)
+  local low, high = text:match("^(.-)%.%.(.*)$")
+  demand(low and text ~= "..", RANGE)
+  low, high = parse_end(low, -INFINITE), parse_end(high, INFINITE)
+  demand(low <= high, "nothing lies in this range")
+  return low, high
+end
+
+-- Set the limits of a rule by its measure.
+local function set_limits(rule, value)
+  local measure = rule.kind
+  if measure.takes_range and (not measure.bound or value:find("..", 1, true)) then
+    rule.low, rule.high = parse_range(value)
+  else
+    rule[measure.bound] = parse_limit(value, measure.name, measure.is_count)
+  end
+  if measure.judges_values then
+    rule.range = { low = rule.low, high = rule.high }
+    rule.low, rule.high = -INFINITE, 0 -- of how many values lie outside
+  end
+end
+
+-- MESSAGE.FIELD and MESSAGE.FIELD.spread
+local function set_field(rule, name)
+  local message, start, suffix = rule.message, name:match("^(.*)%.(%l+)$")
+  local plain = M.OF_FIELD[1]
+  rule.kind = find(M.OF_FIELD, suffix) or plain
+  if rule.kind ~= plain then name = start end
+  local field, names = find(joined(message.fields, message.generated), name)
+  rule.field = demand(field, "%s has no field %q, but %s", message.name, name, names)
+  demand(not field_kinds.BY_NAME[field.kind].is_text,
+    "%s.%s is a text, which has no range", message.name, field.name)
+  rule.is_spread = rule.kind.scope == "capture"
+  demand(not (rule.source and rule.is_spread), "a %s is of all sources, not of one", rule.kind.name)
+end
+
+--- Read a rule: "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55".
+-- source   name that it is about, or nil
+-- options  the words that are no rules, for an error
+function M.parse(text, catalogue, source, options)
+  local name, value = text:match("^([^=]*)=(.*)$")
+  local kind = kinds.BY_NAME[name]
+  local rule = { text = text, source = source, kind = kind, low = -INFINITE, high = INFINITE }
+  if kind and not kind.counts_as then
+    rule.high = parse_limit(value, "number of messages", true)
+    return rule
+  end
+  local message_name, rest = (name or ""):match("^([^.]+)%.(.+)$")
+  if not message_name then
+    local texts = { table.concat(kinds.RULES, "=N, ") .. "=N" }
+    for i, measure in ipairs(M.LIST) do texts[i + 1] = measure.text end
+    demand(false, "a rule is one of %s; options are %s", table.concat(texts, ", "), options)
+  end
+  local message, names = find(catalogue.messages, message_name)
+  rule.message = demand(message, "there is no message %q, but %s", message_name, names)
+  -- A field of the user's may have the name of a measure: NAME.value is the field.
+  local field_name = rest:match("^(.*)%.value$")
+  rule.kind = find(M.OF_MESSAGE, rest)
+  if not rule.kind then set_field(rule, field_name or rest) end
+  set_limits(rule, value)
+  return rule
+end
+
+return M

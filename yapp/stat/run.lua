@@ -1,0 +1,227 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- A run of statistics over a capture: the events of a packet wait until the filters have seen it.
+-- Pure Lua, 5.2 to 5.5.
+--
+-- A packet is dissected, and its results are reported.  Then the taps run: a filter's says that the
+-- packet matches, and the one that sees all packets says that it is there.  Nothing promises their
+-- order, so the events of a packet are handed on when the next packet comes.
+
+local answer = require "yapp.stat.answer"
+local dates = require "yapp.stat.dates"
+local events = require "yapp.stat.events"
+local joined = require "yapp.base.joined"
+local kinds = require "yapp.stat.kinds"
+local output = require "yapp.stat.output"
+
+local M = {}
+
+local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
+local SEARCH_PREFERENCES = "yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first, " ..
+  "-d tcp.port==PORT,yapp_serial, in Wireshark also yapp.search_all" -- tshark searches all
+local NO_TIMES = "packets of this capture have no time stamps"
+-- As candump -H writes them for an adapter that has no clock.
+local EQUAL_TIMES = "all packets of this capture have the same time stamp"
+
+local Run = {}
+Run.__index = Run
+
+--- Make a run.
+-- settings  see stat.taps
+-- hint      a text for statistics without a filter, or nil
+function M.new(settings, hint)
+  local self = setmetatable({ settings = settings, hint = hint, answers = {} }, Run)
+  self.dates = dates.new()
+  self:reset()
+  return self
+end
+
+--- Forget all events and packets, as all packets will be revisited.
+function Run:reset()
+  local answers = self.answers
+  self.events = events.new(self.settings, function(event)
+    for i = 1, #answers do answers[i]:add(event) end
+  end)
+  self.offered, self.number, self.visited = {}, nil, nil -- of the packet that is dissected
+  self.waiting = {}
+  self.packets, self.latest = 0, 0 -- how many packets came, and the number of the latest
+  self.last = nil -- its time
+  self.has_progress = false -- true if it differs from the packet's before
+  -- How often the capture's clock went back, and the latest packet behind that:
+  self.steps, self.step = 0, { number = 0, time = 0 }
+  self.dates:set_first(0, 0, 0) -- until a time is known, if ever
+end
+
+--- Add a statistic, see stat.answer.
+-- options  of stat.options
+-- returns  its answer, with the table `matched` if it has a filter
+function Run:add(statistic, options)
+  local one = answer.new(self.settings, statistic, options)
+  table.insert(self.answers, one)
+  return one
+end
+
+local function deliver_waiting(self)
+  local waiting = self.waiting
+  for i = 1, #waiting do
+    self.events:add(waiting[i])
+    waiting[i] = nil
+  end
+end
+
+--- Take a result of the packet that is dissected, or of an earlier one.
+-- result  see reading.records
+function Run:report(result)
+  local number, visited = result.frame.number, result.frame.visited
+  if number <= self.latest then -- its taps have run
+    deliver_waiting(self)
+    events.append(self.waiting, result)
+    return deliver_waiting(self)
+  end
+  -- tshark -2 dissects all packets before the first tap runs.
+  if number ~= self.number or visited ~= self.visited then
+    self.number, self.visited, self.offered = number, visited, {}
+  end
+  events.append(self.offered, result)
+end
+
+-- The capture's clock goes back.
+local function add_step(self, number, rel, step)
+  local values = { length = output.seconds(-step), back = output.seconds(step) }
+  local clock = kinds.new_event("clock", number, rel, {}, values)
+  for _, one in ipairs(self.answers) do one:count(clock) end
+end
+
+--- Go on to a packet of any kind, which has been dissected.
+-- number, rel  of the packet; rel = seconds since the first one.  With tshark -2 -R the number of a
+--              packet that the first pass rejected is another's in the second, with another time
+-- has_clock    function() -> false if rel is the time of a controller: to go back is no event then
+function Run:packet(number, rel, has_clock)
+  if self.waiting[1] then deliver_waiting(self) end
+  local last = self.last or rel
+  self.last, self.latest, self.packets = rel, number, self.packets + 1
+  if rel ~= last then self.has_progress = true end
+  if last - rel > MAX_STEP then
+    self.steps, self.step = self.steps + 1, { number = number, time = rel }
+    if has_clock() then add_step(self, number, rel, kinds.span(rel, last)) end
+  end
+  local event = number == self.number and self.offered[1]
+  if event and event.time == rel then self.waiting, self.number = self.offered, nil end
+end
+
+local function ignore() end
+
+--- Take no more packets: they are of another file.
+function Run:stop()
+  deliver_waiting(self)
+  self.report, self.packet = ignore, ignore
+end
+
+-- The end -----------------------------------------------------------------------------------------
+
+-- Return why a capture has no message; nil if it has one.
+local function explain_nothing_found(self, capture)
+  local extended = capture.extended
+  if self.events.has_messages then return nil end
+  if extended > 0 then
+    local text = "no YAPP message found; %s not dissected: see yapp.motor_ids, yapp.all_extended"
+    return text:format(output.were(extended, "extended CAN frame"))
+  end
+  if self.packets == 0 then
+    return "no YAPP message found: the capture has no packets, or -R removed all of them"
+  end
+  local packets = output.count(self.packets, "packet")
+  if capture.can > 0 and capture.can == self.packets then
+    return ("no YAPP message found in %s: no CAN data frame has a 29-bit id"):format(packets)
+  end
+  local options = table.concat(capture.options or {}, " or ")
+  local advice = options ~= "" and "try " .. options or "see " .. SEARCH_PREFERENCES
+  return ("no YAPP message found in %s: %s"):format(packets, advice)
+end
+
+-- Return the traces of YAPP in other packets: a list of texts.
+local function list_undecoded(reason, capture)
+  if not (capture.certain and capture.certain[1]) then return {} end
+  if reason then return { "the capture has YAPP that was not decoded" } end
+  return { "YAPP in other packets was not decoded: try " .. table.concat(capture.certain, " ") }
+end
+
+-- Return why times of packets mean nothing; nil if they mean something.
+local function explain_times(self, capture)
+  if capture.lacks_times then return NO_TIMES end
+  return self.packets > 1 and not self.has_progress and EQUAL_TIMES or nil
+end
+
+-- Return the texts of a list, each once.
+local function without_repeats(texts)
+  local list, said = {}, {}
+  for _, text in ipairs(texts) do
+    if not said[text] then list[#list + 1] = text end
+    said[text] = true
+  end
+  return list
+end
+
+-- Hand on the results that waited until all packets had come: at last the messages that the end of
+-- the capture cuts off, in the order of their frames.
+local function deliver_rest(self, capture)
+  local waiting = self.waiting
+  for _, result in ipairs(capture.results) do
+    local is_cut = result.kind == "unfinished"
+    if not (is_cut and capture.unread) then events.append(waiting, result) end
+  end
+  output.sort(waiting, function(event) return event.kind == "unfinished" and event.frame or 0 end)
+  deliver_waiting(self)
+end
+
+--- End: all packets have come.
+-- capture  {
+--   results      of Reading:finish
+--   drops        of capture.capture
+--   options      list of tshark's options that may decode other packets, or nil
+--   certain      those of them that certainly decode YAPP
+--   notes        list of texts to say besides, or nil
+--   lacks_times  true if packets have no time stamps
+--   extended     number of extended CAN frames that were not dissected; can = of all CAN frames
+--   problems     list of texts: why not all was read
+--   unread       the same in short if packets were left out, nil if none }
+-- returns  the exit code, and a list of texts to say
+function Run:finish(capture)
+  deliver_waiting(self)
+  local step, last = self.step, self.last or 0
+  deliver_rest(self, capture)
+  -- Behind a step back of the clock, a lower bound: from there on.  Behind several, the stamps of
+  -- recorders may alternate: then nothing tells.
+  local function length_since(event)
+    if self.steps > 1 then return 0 end
+    return math.max(0, kinds.span(event.frame < step.number and step.time or event.time, last))
+  end
+  self.events:finish(length_since)
+  local length = last
+  for _, state in ipairs(self.events.states) do length = math.max(length, state.rel) end
+  local seconds, nanoseconds = self.dates:exact(0)
+  local reason = explain_nothing_found(self, capture)
+  local ending = {
+    last = self.last, -- seconds from the first packet to the last one, nil for none
+    length = length, -- of the capture, in seconds
+    length_since = length_since, -- function(event) -> seconds from a message to the end
+    events = self.events,
+    begin = seconds + nanoseconds / 1e9, -- of the first packet
+    reason = reason, -- why no message was found, nil if one was
+    lacks_times = explain_times(self, capture),
+    steps = self.steps, -- how often its stamps went back
+    -- Wishes of the user that were not met, and why not all was read: texts.
+    problems = joined(self.settings.problems, capture.problems, list_undecoded(reason, capture)),
+    unread = capture.unread, -- the same in short if packets were left out
+    drops = capture.drops,
+    hint = self.hint,
+  }
+  local code, texts = output.EXIT_OK, {}
+  for _, one in ipairs(self.answers) do
+    local worse, text, notes = one:finish(ending)
+    if worse and (code == output.EXIT_OK or worse < code) then code = worse end
+    texts = joined(texts, { text }, notes)
+  end
+  return code, without_repeats(joined(texts, capture.notes))
+end
+
+return M
