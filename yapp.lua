@@ -47,7 +47,7 @@ local message_types = require "yapp.message.types"
 local ports = require "yapp.host.ports"
 local preferences = require "yapp.host.preferences"
 local show_fields = require "yapp.show.fields"
-local socketcan = require "yapp.host.socketcan"
+local header_reader = require "yapp.host.header"
 local source_names = require "yapp.message.sources"
 local stat_names = require "yapp.stat.names"
 
@@ -95,7 +95,7 @@ local all = Proto("yapp_all", "YAPP (all extended frames)")
 local serial = Proto("yapp_serial", "YAPP serial stream")
 local skipped = Proto("yapp_skipped", "YAPP, bytes between the frames of a serial dump")
 local taurus = Proto("taurus", "Taurus motor controller")
-local header = Proto("yapp_socketcan", "YAPP reads CAN headers")
+local headers = header_reader.new(Proto("yapp_socketcan", "YAPP reads CAN headers"))
 local tcp_header = Proto("yapp_tcp", "YAPP reads TCP headers")
 local usb_header = Proto("yapp_usb", "YAPP reads USB headers")
 local server = Proto("yapp_port", "YAPP looks for YAPP on a server's port")
@@ -183,7 +183,8 @@ local function make_reading()
     taurus_fields = taurus_fields,
     names = default_names,
   }
-  frames = can_dissector.new(reading, show_frame.new(builder), builder, buses, settings)
+  frames = can_dissector.new(reading, show_frame.new(builder), builder, buses, settings,
+    headers)
   streams = serial_dissector.new(reading, show_packet.new(builder), builder, buses, tcp_header)
   reset_reading()
 end
@@ -219,13 +220,13 @@ local function counted(call)
   end
 end
 
--- Return the CAN id of a frame that did not come through the table of ids, as socketcan.find_id
+-- Return the CAN id of a frame that did not come through the table of ids, as host.header
 -- does.
 local function find_id(pinfo)
-  local id, is_unknown = socketcan.find_id(pinfo)
+  local id, is_unknown = headers:find_id(pinfo)
   -- From the next frame on the id is known.  Of frames that Wireshark shows once more, its columns
   -- and trees have it.
-  if is_unknown or not pinfo.visited then socketcan.wrap(header) end
+  if is_unknown or not pinfo.visited then headers:start() end
   return id, is_unknown
 end
 
@@ -234,7 +235,7 @@ local function dissect_any(tvb, pinfo, root)
   local id, is_unknown = find_id(pinfo)
   if id then
     local length = frames:dissect(tvb, pinfo, root, id, true)
-    if length > 0 then frames.deferral:forget() end
+    if length > 0 then headers:forget() end
     return length
   end
   return is_unknown and tvb:reported_len() > 0 and frames:dissect_without_id(tvb, pinfo, root) or 0
@@ -249,12 +250,12 @@ local is_heuristic = false
 
 local function unclaimed(tvb, pinfo, root)
   if settings.accepts_all then return dissect_any(tvb, pinfo, root) > 0 end
-  frames.deferral:remember(tvb, pinfo)
+  headers:remember(tvb, pinfo)
   return false
 end
 
 local function watch_unclaimed()
-  socketcan.wrap(header)
+  headers:start()
   if is_heuristic then return end
   is_heuristic = true
   all:register_heuristic("can", counted(unclaimed))
@@ -328,7 +329,7 @@ local function make_statistics()
     find_options = find_options,
     notes = notes,
     frames = frames,
-    deferral = frames.deferral,
+    headers = headers,
     counted = counted,
     calls = calls,
     watch = function(path)
@@ -341,7 +342,7 @@ local function make_statistics()
     end,
     -- A wrapper that is there when Wireshark reloads its Lua plugins takes SocketCAN away with it.
     unwatch = function()
-      if not buses.found.is_live then socketcan.unwrap() end
+      if not buses.found.is_live then headers:stop() end
     end,
   }
 end
@@ -396,10 +397,10 @@ function yapp.init()
   calls.begun, calls.ended = 1, 0
   read_preferences()
   buses:init()
-  socketcan.init()
+  headers:reset()
   -- A first pass without trees tells a remote frame from data by its header alone.  The page in a
   -- browser pays for that; Wireshark's windows and sharkd, whose captures may be long, do not.
-  if yapp_reads_headers then socketcan.wrap(header) end
+  if yapp_reads_headers then headers:start() end
   types:reset(buses:are_several())
   if stat then stat:reset() end
   if streams then reset_reading() end

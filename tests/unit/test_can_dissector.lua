@@ -10,12 +10,12 @@ local unpack_all = table.unpack or unpack -- luacheck: ignore
 local T = {}
 
 local GLOBALS = { "Tvb", "wtap", "DissectorTable", "all_field_infos", "get_preference" }
-local MODULES = { "yapp.host.wrapper", "yapp.host.socketcan", "yapp.host.deferral", "yapp.host.can" }
+local MODULES = { "yapp.host.wrapper", "yapp.host.header", "yapp.host.can" }
 local EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
 local MOTOR = 0x08404000 -- ID 0x210, Start, Seq No 0
 
 local seen, said
-local socketcan
+local headers
 
 -- Bytes of a packet.
 local Range, Buffer = {}, {}
@@ -91,7 +91,7 @@ function T.setUp()
   end
   function _G.get_preference(name) return said.preferences[name] end
   for _, name in ipairs(MODULES) do package.loaded[name] = nil end
-  socketcan = require("yapp.host.socketcan")
+  headers = require("yapp.host.header").new(seen.proto)
 end
 
 function T.tearDown()
@@ -111,9 +111,9 @@ end
 -- Let SocketCAN's wrapper see a record; return what it says of the frame: its id, and whether it is remote.
 local function read(bytes, with)
   local pinfo, proto = packet(3, with), seen.proto
-  socketcan.wrap(proto)
+  headers:start()
   local taken = proto.dissector(buffer(bytes, with and with.reported), pinfo, "tree")
-  return { socketcan.find_id(pinfo) or false, socketcan.is_remote(pinfo), taken }
+  return { headers:find_id(pinfo) or false, headers:is_remote(pinfo), taken }
 end
 
 function T.test_headers_are_read()
@@ -134,26 +134,12 @@ function T.test_headers_are_read()
   lu.assertEquals(read(record(EXTENDED + MOTOR, data), { match_uint = 9 })[3], 0, "of no table of ours")
 end
 
-function T.test_the_wrapper_comes_and_goes()
-  local proto, before = {}, seen.tables.wtap_encap[125]
-  socketcan.wrap(proto)
-  lu.assertEquals({ seen.tables.wtap_encap[125], seen.tables["sll.ltype"][0x0D] }, { proto, proto })
-  socketcan.wrap({})
-  lu.assertIs(seen.tables.wtap_encap[125], proto, "it is there already")
-  socketcan.unwrap()
-  socketcan.unwrap()
-  lu.assertIs(seen.tables.wtap_encap[125], before)
-  lu.assertEquals(seen.tables["sll.ltype"][0x0C].name, "sll")
-  socketcan.wrap(proto)
-  lu.assertIs(seen.tables.wtap_encap[125], proto)
-end
-
 -- Fields and columns, where no header was read ------------------------------------------------------------------------
 
 function T.test_ids_of_fields_and_columns()
   local function find(fields, info)
     said.fields = fields
-    local id, is_unknown = socketcan.find_id(packet(1, { cols = { info = info or "(info)" } }))
+    local id, is_unknown = headers:find_id(packet(1, { cols = { info = info or "(info)" } }))
     return { id or false, is_unknown or false }
   end
   local function fields(extended)
@@ -165,31 +151,31 @@ function T.test_ids_of_fields_and_columns()
   lu.assertEquals(find({ { name = "can.id", value = MOTOR } }), { false, true }, "nothing says that it is extended")
   lu.assertEquals(find({}, "Ext. ID: 138428416 (0x8404000), Length: 8"), { MOTOR, false })
   lu.assertEquals(find({}, "ID: 291 (0x123), Length: 8"), { false, false })
-  lu.assertEquals(find({}, "ERR: 4"), { false, false })
   lu.assertEquals(find({}, "anything"), { false, true })
   lu.assertEquals(find("throws", "anything"), { false, true })
 end
 
-function T.test_remote_frames_of_fields_and_columns()
-  local function is_remote(fields, info, protocol)
-    said.fields = fields
-    return socketcan.is_remote(packet(1, { cols = { info = info, protocol = protocol or "CAN" } }))
-  end
+function T.test_remote_frames_of_fields()
   for value, wanted in pairs { [true] = true, [1] = true, [0] = false, [false] = false } do
-    lu.assertEquals(is_remote({ { name = "can.flags.rtr", value = value } }), wanted)
+    said.fields = { { name = "can.flags.rtr", value = value } }
+    lu.assertEquals(headers:is_remote(packet(1)), wanted)
   end
-  lu.assertTrue(is_remote({}, "ID: 291 (0x123), Length: 8 [Remote Transmission Request]"))
-  lu.assertFalse(is_remote({}, "ID: 291 (0x123), Length: 8 [Remote Transmission Request]", "CANFD"))
-  lu.assertFalse(is_remote({}, "ID: 291 (0x123), Length: 8"))
-  lu.assertNil(is_remote({}, "(info)"), "there are no columns")
+  said.fields = {}
+  lu.assertNil(headers:is_remote(packet(1)), "nothing says it")
 end
 
 -- The header in front of the data of a packet -------------------------------------------------------------------------
 
+-- The id that a tap reads in front of a frame that waits, false if the frame is none of extended data.
 local function id_before(bytes, offset, length, known_id)
-  local pinfo = packet(7)
-  local id = socketcan.id_before(buffer(bytes), pinfo, offset, length, known_id)
-  lu.assertEquals(socketcan.is_remote(pinfo), id == nil)
+  local id = false
+  headers:use(function(_, _, _, found) id = found end)
+  headers:open()
+  headers:use_taps {}
+  headers.waiting =
+    { number = 7, offset = offset, captured = 0, length = length, is_ours = true, id = known_id }
+  headers:on_packet(packet(7), buffer(bytes .. ("\0"):rep(30 - #bytes)))
+  lu.assertEquals(headers:is_remote(packet(7)), not id)
   return id
 end
 
@@ -198,8 +184,7 @@ function T.test_ids_before_the_data()
   for front, is_big in pairs { [0] = true, [8] = true, [20] = false } do
     for _, is_little in ipairs { true, false } do
       local bytes = ("\0"):rep(front) .. record(EXTENDED + MOTOR, data, is_little)
-      local wanted = is_big ~= is_little and MOTOR or nil
-      lu.assertEquals(id_before(bytes, front + 8, 3), wanted, front)
+      lu.assertEquals(id_before(bytes, front + 8, 3), is_big ~= is_little and MOTOR, front)
     end
   end
   said.preferences["can.byte_swap"] = true
@@ -207,25 +192,13 @@ function T.test_ids_before_the_data()
   said.preferences["can.byte_swap"] = false
   for _, is_little in ipairs { false, true } do
     lu.assertEquals(id_before(record(EXTENDED + MOTOR, data, is_little), 8, 3, MOTOR), MOTOR, "the id proves the order")
-    lu.assertNil(id_before(record(EXTENDED + REMOTE + MOTOR, data, is_little), 8, 3, MOTOR))
+    lu.assertFalse(id_before(record(EXTENDED + REMOTE + MOTOR, data, is_little), 8, 3, MOTOR))
     lu.assertEquals(id_before(record(EXTENDED + 5, data, is_little), 8, 3, MOTOR), MOTOR, "no header")
   end
   lu.assertEquals(id_before(record(EXTENDED + MOTOR, data), 8, 4, 5), 5, "another length")
-  lu.assertNil(id_before(record(EXTENDED + MOTOR, data), 8, 4))
+  lu.assertFalse(id_before(record(EXTENDED + MOTOR, data), 8, 4))
   lu.assertEquals(id_before("\0\0\0", 3, 3, 5), 5, "no room for a header")
-  lu.assertEquals(id_before("\0\0\0", 30, 3, 5), 5, "behind the packet")
   lu.assertEquals(id_before(record(EXTENDED + MOTOR, ""), 8, 0), MOTOR)
-end
-
-function T.test_records_fill_their_packet()
-  local function is_record(len, offset, reported)
-    return socketcan.is_record(buffer("", reported, offset), { len = len })
-  end
-  lu.assertEquals({ is_record(16, 8, 8), is_record(8, 8, 0), is_record(72, 8, 64), is_record(72, 8, 20) },
-    { true, true, true, true })
-  lu.assertTrue(is_record(16, 8, 3))
-  lu.assertEquals({ is_record(28, 8, 20), is_record(28, 8, 12), is_record(7, 8, 3), is_record(17, 8, 5) },
-    { true, false, false, false })
 end
 
 -- Frames that wait for a tap ------------------------------------------------------------------------------------------
@@ -260,10 +233,10 @@ local function new_frames()
     bus_of = function(number) return ("bus %d"):format(number), "is known" end }
   local view = { show = noted "show", show_without_id = noted "show_without_id" }
   local settings = { accepts_all = false }
-  require("yapp.host.deferral") -- of the frames
-  local frames = require("yapp.host.can").new(reading, view, builder, buses, settings)
+  local frames = require("yapp.host.can").new(reading, view, builder, buses, settings, headers)
   frames:reset()
-  return frames, { reading = reading, wants = wants, buses = buses, settings = settings }
+  local function reset() frames:reset() end
+  return frames, { reset = reset, reading = reading, wants = wants, buses = buses, settings = settings }
 end
 
 local DATA = "\1\2\3\4\5\6\7\8"
@@ -340,134 +313,117 @@ function T.test_a_frame_of_others()
   local frames = new_frames()
   said.result = nil
   lu.assertEquals(frames:dissect(buffer(DATA, nil, 8), packet(3), nil, MOTOR, false), 0)
-  lu.assertFalse(frames.deferral.number, "no statistic runs")
-  local notes = 0
-  frames.deferral:open(function() notes = notes + 1 end)
+  lu.assertFalse(headers.waiting, "no statistic runs")
+  headers:open()
   frames:dissect(buffer(DATA, nil, 8), packet(4), nil, MOTOR, false)
-  lu.assertEquals({ frames.deferral.number, notes }, { 4, 1 })
-  frames.deferral:close()
-  lu.assertFalse(frames.deferral.number)
-  lu.assertFalse(frames.deferral:remember(buffer(DATA, nil, 8), packet(5)))
+  lu.assertEquals(headers.waiting.number, 4)
+  headers:close()
+  lu.assertFalse(headers.waiting)
+  lu.assertFalse(headers:remember(buffer(DATA, nil, 8), packet(5)))
 end
 
--- A frame of zeros may be remote: a header, a field or a column says it.
+-- A frame of zeros may be remote: a header or a field says it.
 function T.test_frames_of_zeros()
   said.result, said.message = { is_usual = true }, {}
   for length = 1, 8 do
     local frames = new_frames()
-    local function dissect(info, id, with)
-      local pinfo = packet(3, with)
-      pinfo.cols.info = info
-      return frames:dissect(buffer(("\0"):rep(length), nil, 8), pinfo, nil, id or MOTOR, false)
+    local function dissect(is_remote)
+      said.fields = { { name = "can.flags.rtr", value = is_remote } }
+      return frames:dissect(buffer(("\0"):rep(length), nil, 8), packet(3), nil, MOTOR, false)
     end
-    lu.assertEquals(dissect("Remote Transmission Request"), 0, length)
-    lu.assertEquals(dissect("Ext. ID: 1"), length)
-    lu.assertEquals(dissect("(info)"), length, "nothing says it")
+    lu.assertEquals({ dissect(true), dissect(false), dissect(nil) }, { 0, length, length })
   end
   local frames = new_frames()
-  said.recalled = { is_usual = true }
+  said.recalled, said.fields = { is_usual = true }, { { name = "can.flags.rtr", value = true } }
   local pinfo = packet(3, { visited = true })
-  pinfo.cols.info = "Remote"
   frames:dissect(buffer(DATA), packet(9), nil, MOTOR, false)
   lu.assertEquals(frames:dissect(buffer("\0\0"), pinfo, nil, MOTOR, false), 2, "it was taken for a fragment")
   lu.assertEquals(frames:dissect(buffer("\0\0"), pinfo, nil, 0x210 * 0x40000, false), 0)
 end
 
--- Frames are deferred if nothing is shown; a tap then reads their headers.
-local function deferring(shows)
+-- In the only pass, if nothing is shown, frames wait for a tap that reads their headers.
+local function waiting()
   local frames, parts = new_frames()
-  parts.wants.tree = shows or false
-  frames.deferral:open(function() end)
-  frames.deferral:allow()
-  frames.deferral:decide(nil)
-  lu.assertTrue(frames.deferral.is_undecided)
+  headers:start()
+  headers:open()
+  headers:use_taps(parts.wants)
   return frames, parts
 end
 
-function T.test_deferred_frames()
+function T.test_frames_that_wait()
   said.result, said.message = { is_usual = true }, {}
-  local frames = deferring()
   local before = seen.tables.wtap_encap[125]
-  socketcan.wrap({})
+  local frames = waiting()
   local zeros = ("\0"):rep(8)
-  lu.assertEquals(frames:dissect(buffer(zeros, nil, 8), packet(3), nil, MOTOR, false), 8)
   lu.assertIs(seen.tables.wtap_encap[125], before, "no wrapper any more")
-  lu.assertEquals(seen.asked, false)
+  lu.assertEquals(frames:dissect(buffer(zeros, nil, 8), packet(3), nil, MOTOR, false), 8)
   lu.assertNil(seen.frame)
   frames:dissect(buffer(DATA, nil, 40), packet(3), nil, MOTOR, false) -- a later one of the packet
-  frames.deferral:on_header(packet(3, { visited = true }), buffer(record(EXTENDED + MOTOR, zeros))) -- as in every tap
+  headers:on_packet(packet(3, { visited = true }), buffer(record(EXTENDED + MOTOR, zeros))) -- as in every tap
   lu.assertEquals({ seen.frame.data, seen.frame.visited, seen.frame.number }, { zeros, false, 3 })
-  lu.assertEquals({ frames.deferral.can, frames.deferral.extended, frames.deferral.number }, { 1, 1, false })
+  lu.assertEquals({ headers.can, headers.extended, headers.waiting }, { 1, 1, false })
   seen.frame = nil
   frames:dissect(buffer(zeros, nil, 8), packet(4), nil, MOTOR, false)
-  frames.deferral:on_header(packet(4), buffer(record(EXTENDED + REMOTE + MOTOR, zeros)))
-  lu.assertNil(seen.frame, "it is remote")
-  lu.assertEquals({ frames.deferral.can, frames.deferral.extended }, { 2, 1 })
+  headers:on_packet(packet(4), buffer(record(EXTENDED + REMOTE + MOTOR, zeros)))
+  lu.assertEquals({ seen.frame, headers.can, headers.extended }, { nil, 2, 1 }, "it is remote")
   frames:dissect(buffer(zeros, nil, 8), packet(5), nil, MOTOR, false)
-  frames.deferral:on_header(packet(6), buffer(record(EXTENDED + MOTOR, zeros)))
-  lu.assertEquals({ seen.frame, frames.deferral.can, frames.deferral.number }, { nil, 2, false }, "of another packet")
-  frames:dissect(buffer(zeros, nil, 8), packet(7), nil, MOTOR, false)
-  frames.deferral:on_header(packet(7), buffer(record(EXTENDED + MOTOR, zeros, true)))
-  lu.assertEquals(seen.frame and seen.frame.number, 7, "the table's id proves the order of the header's bytes")
-  frames.deferral:reset_counts()
-  lu.assertEquals({ frames.deferral.can, frames.deferral.extended }, { 0, 0 })
+  headers:on_packet(packet(6), buffer(record(EXTENDED + MOTOR, zeros)))
+  lu.assertEquals({ seen.frame, headers.can, headers.waiting }, { nil, 2, false }, "of another packet")
+  lu.assertEquals(frames:dissect_without_id(buffer(DATA, nil, 8), packet(7)), 8)
+  headers:on_packet(packet(7), buffer(record(EXTENDED + MOTOR, DATA)))
+  lu.assertEquals({ seen.frame.data, seen.frame.accepts_all, seen.calls }, { DATA, true, {} })
+  lu.assertEquals(frames:dissect_without_id(buffer("", 8), packet(8)), 8)
+  lu.assertEquals(seen.calls[1][1], "show_without_id")
+  headers:open()
+  lu.assertEquals({ headers.can, headers.extended }, { 0, 0 }, "of another statistic")
 end
 
-function T.test_frames_that_are_shown_are_not_deferred()
+function T.test_frames_that_are_shown_do_not_wait()
   said.result, said.message = { is_usual = true }, {}
   for _, what in ipairs { "tree", "columns" } do
-    local frames, parts = deferring()
+    local frames, parts = new_frames()
     parts.wants[what] = true
+    headers:start()
+    headers:open()
+    headers:use_taps(parts.wants)
+    lu.assertIs(seen.tables.wtap_encap[125], seen.proto)
     lu.assertEquals(frames:dissect(buffer("\0\0", nil, 8), packet(3), nil, MOTOR, false), 2)
-    local deferral = frames.deferral
-    lu.assertEquals({ seen.frame.number, deferral.defers, deferral.is_undecided }, { 3, false, false }, what)
+    lu.assertEquals({ seen.frame.number, headers.waiting }, { 3, false }, what)
   end
-  local frames = deferring()
-  frames:reset()
-  lu.assertFalse(frames.deferral.is_undecided)
-  lu.assertFalse(frames.deferral:defer(buffer("\0\0", nil, 8), packet(3), nil, MOTOR, false), "of another file")
-end
-
-function T.test_frames_without_an_id()
-  said.result, said.message = { is_usual = true }, {}
-  local frames = deferring()
-  lu.assertEquals(frames:dissect_without_id(buffer(DATA, nil, 8), packet(3)), 8)
-  frames.deferral:on_header(packet(3), buffer(record(EXTENDED + MOTOR, DATA)))
-  lu.assertEquals({ seen.frame.data, seen.frame.accepts_all, seen.calls }, { DATA, true, {} })
-  lu.assertEquals(frames:dissect_without_id(buffer("", 8), packet(4)), 8)
-  lu.assertEquals(seen.calls[1][1], "show_without_id")
+  local frames = waiting()
+  headers:reset()
+  frames:dissect(buffer("\0\0", nil, 8), packet(3), nil, MOTOR, false)
+  lu.assertFalse(headers.waiting, "another file")
 end
 
 -- A frame that nobody accepted may be a message that is not dissected.
-function T.test_noted_frames()
-  local frames, parts = deferring(true)
+function T.test_frames_that_nobody_accepted()
+  local _, parts = new_frames()
   parts.buses.bus_is_per_packet = true
-  local function note(number, word)
-    lu.assertTrue(frames.deferral:remember(buffer(DATA, nil, 8), packet(number)))
-    frames.deferral:on_header(packet(number), buffer(record(word, DATA)))
+  parts.reset()
+  headers:open()
+  local function remember(number, word)
+    lu.assertTrue(headers:remember(buffer(DATA, nil, 8), packet(number)))
+    headers:on_packet(packet(number), buffer(record(word, DATA)))
   end
-  note(3, EXTENDED + MOTOR + 5)
+  remember(3, EXTENDED + MOTOR + 5)
   local frame = seen.undissected
   lu.assertEquals({ frame.key, frame.number, frame.time, frame.seq, frame.data, frame.reported, frame.bus },
     { 3 * frame_key.PACKET + 8, 3, 0.3, 5, DATA, 8, "bus 3" })
   lu.assertEquals(frame.can_id.id, 0x210)
   seen.undissected = nil
-  note(4, MOTOR % 0x800)
-  lu.assertTrue(frames.deferral:remember(buffer(DATA, nil, 8), packet(5)))
-  frames.deferral:forget()
-  lu.assertFalse(frames.deferral.number)
-  lu.assertNil(seen.undissected, "Decode As accepted it")
-  frames.deferral:remember(buffer("", 8, 8), packet(6, { len = 8 }))
-  frames.deferral:on_header(packet(6), buffer(record(EXTENDED + MOTOR, "")))
-  lu.assertNil(seen.undissected, "nothing was captured")
-  lu.assertEquals(frames.deferral.can, 3)
-  parts.buses.bus_is_per_packet = false
-  frames.deferral:remember(buffer("\1", nil, 8), packet(7, { len = 9 }))
-  frames.deferral:on_header(packet(7), buffer(record(EXTENDED + MOTOR, "\1")))
-  lu.assertEquals({ seen.undissected.number, seen.undissected.data, seen.undissected.bus }, { 7, "\1", false })
-  frames.deferral:open(function() end)
-  lu.assertEquals({ frames.deferral.can, frames.deferral.extended }, { 0, 0 }, "of another statistic")
-  lu.assertFalse(frames.deferral:remember(buffer(DATA, nil, 8), packet(6, { len = 40 })), "no record of SocketCAN")
+  remember(4, MOTOR % 0x800)
+  lu.assertTrue(headers:remember(buffer(DATA, nil, 8), packet(5)))
+  headers:forget()
+  lu.assertEquals({ headers.waiting, seen.undissected }, { false, nil }, "Decode As accepted it")
+  headers:remember(buffer("", 8, 8), packet(6, { len = 8 }))
+  headers:on_packet(packet(6), buffer(record(EXTENDED + MOTOR, "")))
+  lu.assertEquals({ headers.can, seen.undissected }, { 3, nil }, "nothing was captured")
+  local function fills(len, offset, reported)
+    return headers:remember(buffer("\1", reported, offset), packet(8, { len = len }))
+  end
+  lu.assertEquals({ fills(16, 8, 8), fills(72, 8, 64), fills(28, 8, 20), fills(28, 8, 12), fills(7, 8, 3),
+    fills(17, 8, 5) }, { true, true, true, false, false, false }, "whether it is a record of SocketCAN")
 end
 
 function T.test_the_dissector_of_the_table()

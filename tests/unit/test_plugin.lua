@@ -100,9 +100,9 @@ local function set_modules()
     ["yapp.capture.capture"] = { watch = function() return stand_in("buses", { found = found }) end },
     ["yapp.host.ports"] = module("ports"),
     ["yapp.host.preferences"] = module("preferences"),
-    ["yapp.host.socketcan"] = module("socketcan"),
+    ["yapp.host.header"] = { new = function() return stand_in("headers") end },
     ["yapp.host.usb"] = module("usb"),
-    ["yapp.host.can"] = maker("can", stand_in("frames", { deferral = stand_in("deferral") })),
+    ["yapp.host.can"] = maker("can", stand_in("frames")),
     ["yapp.host.serial"] = maker("serial", stand_in("streams")),
     ["yapp.file.readers"] = module("readers"),
     ["yapp.reading.reading"] = maker("reading", stand_in("reading")),
@@ -339,7 +339,7 @@ end
 function T.test_a_file_without_yapp()
   local protos = open()
   lu.assertEquals(calls_of("^buses%.init"), { "buses.init" })
-  lu.assertEquals(calls_of("^socketcan"), { "socketcan.init" })
+  lu.assertEquals(calls_of("^headers"), { "headers.reset" })
   lu.assertEquals({ calls_of("^streams"), calls_of("^reading"), calls_of("^stat") }, { {}, {}, {} })
   lu.assertEquals(protos.yapp_serial.heuristics, {})
   lu.assertEquals(protos.yapp_all.heuristics, {})
@@ -371,7 +371,7 @@ function T.test_another_file()
   local types = seen.made.reading[1]
   lu.assertTrue(types.has_several)
   lu.assertEquals(calls_of("reset$"),
-    { "stat.reset", "reading.reset", "builder.reset", "frames.reset", "streams.reset" })
+    { "headers.reset", "stat.reset", "reading.reset", "builder.reset", "frames.reset", "streams.reset" })
   local options = seen.arguments["reading.reset"][1]
   lu.assertEquals({ options.late, options.catalogue == seen.catalogue, options.buses ~= nil }, { 2.5, true, true })
   said["buses.are_several"] = false
@@ -382,8 +382,8 @@ end
 -- The page in a browser.
 function T.test_headers_that_are_read_at_once()
   _G.yapp_reads_headers = true
-  local protos = open()
-  lu.assertEquals(seen.arguments["socketcan.wrap"], { protos.yapp_socketcan })
+  open()
+  lu.assertEquals(calls_of("headers.start"), { "headers.start" })
 end
 
 -- Preferences --------------------------------------------------------------------------------------------------------
@@ -404,10 +404,10 @@ end
 function T.test_all_extended_frames()
   local protos = open(false, function(prefs) prefs.all_extended = true end)
   lu.assertEquals(heuristics_of(protos.yapp_all), { "can" })
-  lu.assertEquals(seen.arguments["socketcan.wrap"], { protos.yapp_socketcan })
+  lu.assertEquals(calls_of("headers.start"), { "headers.start" })
   protos.yapp.init()
   lu.assertEquals(#protos.yapp_all.heuristics, 1)
-  said["socketcan.find_id"], said["frames.dissect"] = 0x8404000, 1
+  said["headers.find_id"], said["frames.dissect"] = 0x8404000, 1
   local tvb, pinfo = stand_in("tvb"), {}
   lu.assertTrue(protos.yapp_all.heuristics[1][2](tvb, pinfo, "root"))
   lu.assertEquals(seen.arguments["frames.dissect"], { tvb, pinfo, "root", 0x8404000, true })
@@ -439,15 +439,14 @@ function T.test_a_statistic_begins()
   lu.assertEquals(heuristics_of(protos.yapp_all), { "can" })
   lu.assertEquals(heuristics_of(protos.yapp_serial), { "tcp", "udp" })
   parts.unwatch()
-  lu.assertEquals(#calls_of("socketcan.unwrap"), 1)
+  lu.assertEquals(#calls_of("headers.stop"), 1)
   parts.buses.found.is_live = true
   parts.unwatch()
-  lu.assertEquals(#calls_of("socketcan.unwrap"), 1)
-  lu.assertIs(parts.deferral, rawget(parts.frames, "deferral"))
+  lu.assertEquals(#calls_of("headers.stop"), 1)
   local tvb, pinfo = {}, {}
   parts.settings.accepts_all = false
   lu.assertFalse(protos.yapp_all.heuristics[1][2](tvb, pinfo))
-  lu.assertEquals(seen.arguments["deferral.remember"], { tvb, pinfo })
+  lu.assertEquals(seen.arguments["headers.remember"], { tvb, pinfo })
 end
 
 function T.test_in_windows()
@@ -524,7 +523,7 @@ function T.test_decode_as_on_can()
   local protos, pinfo = open(), {}
   local tvb, is_unknown = nil, true
   local function dissect(id, length)
-    said["socketcan.find_id"] = function() return id, is_unknown end
+    said["headers.find_id"] = function() return id, is_unknown end
     said["tvb.reported_len"], tvb = length, stand_in("tvb")
     return protos.yapp_all.dissector(tvb, pinfo, "root")
   end
@@ -532,7 +531,7 @@ function T.test_decode_as_on_can()
   lu.assertEquals({ dissect(7, 8), dissect(nil, 1), dissect(nil, 0) }, { 8, 5, 0 })
   is_unknown = false
   lu.assertEquals(dissect(nil, 8), 0)
-  lu.assertEquals(#calls_of("socketcan.wrap"), 4)
+  lu.assertEquals(#calls_of("headers.start"), 4)
 end
 
 function T.test_a_conversation_is_found_by_content()

@@ -67,7 +67,7 @@ local function new_stat(is_gui)
   local buses = stand_in("buses", { found = {} })
   function buses.drops() return { "of the buses" } end
   function buses.has_times() return not wireshark.lacks_times, wireshark.has_clock end
-  function buses.time(_, pinfo) return pinfo.rel_ts end
+  function buses.begin(_, pinfo) return 17, math.floor(pinfo.rel_ts * 50) end
   function buses.missed_file() return wireshark.is_reloaded end
   local reading = stand_in("reading", {})
   function reading.drops() return { "of streams" } end
@@ -75,11 +75,10 @@ local function new_stat(is_gui)
     seen.may_go_on = may_go_on
     return { "results" }
   end
-  local deferral = stand_in("deferral", { number = false, is_undecided = false, extended = 7, can = 9 })
-  function deferral.open(_, on_note) seen.on_note = on_note end
+  local headers = stand_in("headers", { waiting = false, extended = 7, can = 9 })
   local parts = {
     settings = { catalogue = { messages = {}, by_name = {} }, version = "1" },
-    buses = buses, reading = reading, deferral = deferral,
+    buses = buses, reading = reading, headers = headers,
     builder = stand_in("builder", { wanted = "wanted" }),
     calls = { begun = 0, ended = 0 },
     frames = { is_second_pass = function() return wireshark.is_second_pass end },
@@ -109,7 +108,7 @@ end
 
 function T.setUp()
   seen = { taps = {}, order = {}, packets = {}, resets = 0, watched = 0, stderr = {}, stdout = {}, folders = {},
-    buses = {}, reading = {}, deferral = {}, builder = {} }
+    buses = {}, reading = {}, headers = {}, builder = {} }
   wireshark = { packets = PACKETS, code = 0, texts = {}, options = {}, later_files = 0 }
   _G.Listener = { new = new_tap }
   _G.Dir = { make = function(path) table.insert(seen.folders, path) end, exists = function() return false end }
@@ -167,7 +166,7 @@ end
 
 function T.test_the_exact_time_is_that_of_the_first_packet()
   window():run("yapp,faults")
-  lu.assertEquals(seen.begins, { 17, 5, 0.1 })
+  lu.assertEquals(seen.begins, { 17, 5, 0 })
   lu.assertEquals(seen.builder, {}, "Wireshark may revisit all packets")
 end
 
@@ -195,9 +194,9 @@ function T.test_a_reading_ends_whole()
   for run = 1, 2 do
     seen.begins = nil
     stat:run("yapp,faults")
-    lu.assertEquals({ next(seen.taps) or seen.begins, seen.watched }, { { 17, 5, 0.1 }, 0 }, run)
+    lu.assertEquals({ next(seen.taps) or seen.begins, seen.watched }, { { 17, 5, 0 }, 0 }, run)
     lu.assertEquals(seen.reading[#seen.reading], { "listen", false })
-    lu.assertEquals(seen.deferral[#seen.deferral], { "close" })
+    lu.assertEquals(seen.headers[#seen.headers], { "close" })
     lu.assertEquals(seen.queue.packets, PACKETS)
   end
   lu.assertEquals(seen.reading[1][1], "listen")
@@ -213,6 +212,12 @@ function T.test_a_window_while_another_one_reads()
 end
 
 -- Another one that reads resets all taps, although Wireshark goes on with this reading.
+local function count_of(list, method)
+  local count = 0
+  for _, call in ipairs(list) do if call[1] == method then count = count + 1 end end
+  return count
+end
+
 function T.test_taps_that_are_reset()
   local stat, parts = window()
   wireshark.on_read = function()
@@ -222,8 +227,8 @@ function T.test_taps_that_are_reset()
   lu.assertEquals(seen.resets, 0)
   wireshark.packets = 0
   stat:run("yapp,faults")
-  lu.assertEquals({ seen.resets, parts.deferral.can, stat.is_exact }, { 1, 9, false })
-  lu.assertEquals(seen.deferral[#seen.deferral - 1], { "reset_counts" })
+  lu.assertEquals({ seen.resets, parts.headers.can }, { 1, 9 })
+  lu.assertEquals(count_of(seen.headers, "open"), 3, "counted anew")
 end
 
 function T.test_problems_are_said_once()
@@ -298,12 +303,6 @@ local function tshark(...)
   return nil, parts
 end
 
-local function count_of(list, method)
-  local count = 0
-  for _, call in ipairs(list) do if call[1] == method then count = count + 1 end end
-  return count
-end
-
 -- What was said of a preference when it was read is not said again.
 function T.test_a_problem_is_said_once()
   local preferences = require("yapp.host.preferences")
@@ -363,32 +362,18 @@ function T.test_several_statistics_have_one_reading()
   lu.assertEquals({ count_of(seen.reading, "listen"), seen.watched, seen.queue.packets }, { 1, 1, PACKETS })
 end
 
--- The trees of the first packets give the exact time; then they are not built any more.
-function T.test_the_end_of_trees()
-  tshark("yapp,faults")
-  lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.deferral, "allow") }, { 1, 1 })
-  local clocks = 0
-  for tap in pairs(seen.taps) do if tap.filter then clocks = clocks + 1 end end
-  lu.assertEquals(clocks, 0)
-end
-
-function T.test_trees_that_are_built_anyway()
-  tshark("yapp,faults,filter=yapp")
-  lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.deferral, "allow") }, { 1, 0 })
+-- The first tap in tshark's only pass.
+function T.test_the_only_pass()
+  local _, parts = new_stat(false)
+  parts.headers.waiting = true
+  parts:begin("yapp,faults")
+  read_packets()
+  lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.headers, "on_packet") }, { 1, PACKETS })
+  lu.assertEquals({ count_of(seen.headers, "use_taps"), parts.calls.begun, parts.calls.ended }, { 1, PACKETS, PACKETS })
   T.setUp()
   wireshark.is_second_pass = true
   tshark("yapp,faults")
-  lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.deferral, "allow") }, { 0, 0 })
-end
-
--- A header waits for the tap of its packet.
-function T.test_headers_that_wait()
-  local _, parts = new_stat(false)
-  parts.deferral.number, parts.deferral.is_undecided = 1, true
-  parts:begin("yapp,faults")
-  read_packets()
-  lu.assertEquals({ count_of(seen.deferral, "on_header"), count_of(seen.deferral, "decide") }, { PACKETS, PACKETS })
-  lu.assertEquals({ parts.calls.begun, parts.calls.ended }, { PACKETS, PACKETS })
+  lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.headers, "use_taps") }, { 0, 0 })
 end
 
 function T.test_files_that_a_live_capture_went_on_in()

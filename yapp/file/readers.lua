@@ -35,6 +35,7 @@ end
 --          the packet behind the loss or nil, time = that packet's seconds since 1970 or nil },
 --          complete when the file has been read; lacks_times = true if packets have no time stamps;
 --          stamps_differ = true if the time stamps of its first frames do;
+--          first = { seconds, nanoseconds } of the record that was read first;
 --          lacks_clock = true if times are the controllers' own, as in a raw dump;
 --          plain_bus = name of the only bus of a log that Wireshark's own reader took, which
 --          forgets it on 4.0 and 4.4 }
@@ -51,6 +52,7 @@ local function fill(log, frame, offset, bytes, seconds, nanoseconds, its_bus, co
   frame.flags = seconds and wtap_presence_flags.TS or 0
   if seconds then
     frame.time = NSTime.new(seconds, nanoseconds)
+    log.first = log.first or { seconds, nanoseconds }
   else
     log.lacks_times = true
   end

@@ -3,10 +3,8 @@
 -- Wireshark's API.
 
 local can_id = require "yapp.wire.can_id"
-local deferral = require "yapp.host.deferral"
 local frame_key = require "yapp.base.frame_key"
 local records = require "yapp.reading.records"
-local socketcan = require "yapp.host.socketcan"
 
 local M = {}
 
@@ -29,22 +27,23 @@ Dissector.__index = Dissector
 -- builder      a show.tree
 -- buses        a capture.capture
 -- settings     its accepts_all: the preference yapp.all_extended
-function M.new(reading, view, builder, buses, settings)
+-- headers      a host.header
+function M.new(reading, view, builder, buses, settings, headers)
   local self = setmetatable({
     reading = reading,
     view = view,
     builder = builder,
     buses = buses,
     settings = settings,
+    headers = headers,
     frame = false, wants = false, -- see Dissector:reset
   }, Dissector)
-  self.deferral = deferral.new(reading, builder, buses, function(...) self:dissect(...) end)
+  headers:use(function(...) self:dissect(...) end, function(...) self:report(...) end)
   return self
 end
 
 --- Forget the capture file.
 function Dissector:reset()
-  self.deferral:reset()
   -- True if the bus of a frame has to be asked for.
   self.bus_is_per_packet = self.buses.bus_is_per_packet
   self.frame = records.new_can_frame()
@@ -76,11 +75,12 @@ end
 
 -- Return how many bytes are ours of a frame of zeros that is not dissected now: none of a remote
 -- frame, all of one that waits for a tap; nil to dissect it.
-local function pass_over(self, frame, tvb, pinfo, tree, id)
+local function pass_over(self, frame, tvb, pinfo, id)
   if frame.visited and frame.can_id.ctrl ~= 0 then return nil end -- it was taken for a fragment
-  local is_remote = socketcan.is_remote(pinfo)
+  local headers = self.headers
+  local is_remote = headers:is_remote(pinfo)
   if is_remote then return 0 end
-  local waits = is_remote == nil and self.deferral:defer(tvb, pinfo, tree, id, frame.accepts_all)
+  local waits = is_remote == nil and headers:remember(tvb, pinfo, true, id, frame.accepts_all)
   return waits and frame.reported or nil
 end
 
@@ -111,15 +111,21 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
   if key <= reading.newest_key or wants ~= self.wants then
     wants = ask(self, frame, pinfo, tree, length)
   end
-  local passed = ZEROS[data] and pass_over(self, frame, tvb, pinfo, tree, id)
+  local passed = ZEROS[data] and pass_over(self, frame, tvb, pinfo, id)
   if passed then return passed end
   local result = reading:read_frame(frame)
   if not result then
-    self.deferral:remember(tvb, pinfo)
+    self.headers:remember(tvb, pinfo)
     return 0
   end
   if wants.shows or not result.is_usual then self.view:show(result, wants, tvb, pinfo, tree) end
   return reported
+end
+
+--- Report a frame that no dissector accepted: it may be a message.
+function Dissector:report(frame, pinfo)
+  if self.bus_is_per_packet then find_bus(self, frame, pinfo) end
+  self.reading:report_undissected(frame)
 end
 
 --- Return the dissector for SocketCAN's table of ids, where match_uint is the CAN id.
@@ -137,7 +143,7 @@ end
 --- Dissect a frame that the user calls YAPP, but whose CAN id is not known.
 -- returns  the number of bytes that are ours
 function Dissector:dissect_without_id(tvb, pinfo, tree)
-  if not (tvb:len() > 0 and self.deferral:defer(tvb, pinfo, tree, nil, true)) then
+  if not (tvb:len() > 0 and self.headers:remember(tvb, pinfo, true, nil, true)) then
     self.view:show_without_id(pinfo, tree)
   end
   return tvb:reported_len()

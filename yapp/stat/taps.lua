@@ -12,8 +12,6 @@ local windows = require "yapp.stat.windows"
 
 local M = {}
 
--- While this is asked for, trees have the exact time, and the fields of CAN headers.
-local CLOCK = "frame.time_epoch || can.id || can.flags.xtd == 1 || can.flags.rtr == 1"
 local STEP = 10000 -- packets from one note of progress to the next
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
 local MAY_GO_ON = gui_enabled() and not yapp_is_whole -- a live capture; a page opens whole ones
@@ -38,7 +36,7 @@ Stat.__index = Stat
 --     ids           [message name] = list of the IDs that its preference has
 --     problems      list of texts: wishes of the user that were not met }
 --   builder = a show.tree, buses = a capture.capture
---   reading    a reading.reading, frames = a host.can, deferral = its host.deferral
+--   reading    a reading.reading, frames = a host.can, headers = its host.header
 --   find_options  function() -> list of tshark's options that may decode other packets, and
 --              those of them that certainly decode YAPP
 --   notes      function() -> list of texts to say of streams
@@ -82,48 +80,29 @@ local function add_tap(self, filter)
   return tap
 end
 
--- The tap that asks for the field which has the time to the nanosecond (pinfo.abs_ts has steps of
--- 0.24 microseconds).
-local function tap_clock(self)
-  local clock = add_tap(self, CLOCK)
-  clock.packet = self.counted(function(pinfo)
-    if self.is_exact then return end
-    for _, info in ipairs { all_field_infos() } do
-      if info.name == "frame.time_epoch" then
-        self.current.dates:set_first(info.value.secs, info.value.nsecs, self.buses:time(pinfo))
-        self.is_exact = true
-      end
-    end
-  end)
-  return clock
-end
-
--- The exact time is known: remove the tap of the clock, which builds trees.  If a filter has trees
--- built anyway, it stays: they have CAN ids, too.
-local function end_trees(self, clock)
-  self.builder:set_only_pass()
-  if not self.has_filter then
-    clock:remove()
-    self.deferral:allow()
-  end
-end
-
--- The tap that sees every packet.  In tshark it removes the tap of the clock once the exact time is
--- known, but in a second pass.
+-- The tap that sees every packet.
 local function tap_packets(self)
-  local tap, clock, is_waiting = add_tap(self), tap_clock(self), IS_TSHARK
-  local calls, buses, deferral = self.calls, self.buses, self.deferral
+  local tap, is_waiting = add_tap(self), IS_TSHARK
+  local calls, buses, headers, builder = self.calls, self.buses, self.headers, self.builder
   local function has_clock() return select(2, buses:has_times()) end
 
   -- Every packet comes here, so nothing else is called that need not be.
   function tap.packet(pinfo, tvb)
     calls.begun = calls.begun + 1
-    if deferral.number then deferral:on_header(pinfo, tvb) end
-    if is_waiting and self.is_exact then
+    if headers.waiting then headers:on_packet(pinfo, tvb) end
+    local wants = is_waiting and builder.wanted -- known once a packet has YAPP
+    if wants then
       is_waiting = false
-      if not self.frames:is_second_pass(pinfo.number) then end_trees(self, clock) end
+      -- A tap that is called before the last packet is dissected is so in tshark's only pass.
+      if not self.frames:is_second_pass(pinfo.number) then
+        builder:set_only_pass()
+        headers:use_taps(wants)
+      end
     end
-    if deferral.is_undecided then deferral:decide(self.builder.wanted) end
+    if self.current.packets == 0 then
+      local seconds, nanoseconds = buses:begin(pinfo)
+      self.current.dates:set_first(seconds, nanoseconds, 0)
+    end
     self.current:packet(pinfo.number, pinfo.rel_ts, has_clock)
     calls.ended = calls.ended + 1
   end
@@ -133,17 +112,15 @@ local function tap_packets(self)
   function tap.reset()
     if not IS_TSHARK and self.current.packets > 0 then return end
     self.current:reset()
-    self.is_exact = false
-    self.deferral:reset_counts()
+    self.headers:open()
   end
 end
 
 local function open(self)
   self.command, self.began = command.options(), os.time()
   self.current, self.taps = run_of.new(self.settings, hint_of(self.command)), {}
-  self.is_exact, self.has_filter = false, false
   self.reading:listen(self.current)
-  self.deferral:open(function() end)
+  self.headers:open()
   self.watch(self.command.r or self.command["read-file"])
   tap_packets(self)
 end
@@ -151,7 +128,7 @@ end
 local function close(self)
   for _, tap in ipairs(self.taps) do tap:remove() end -- a tap that stays would build trees for ever
   self.reading:listen(false)
-  self.deferral:close()
+  self.headers:close()
 end
 
 -- Return why packets of the capture were not read, nil if all were.
@@ -170,7 +147,7 @@ end
 local function finish(self)
   local failures, unread = self.calls.begun - self.calls.ended, explain_unread(self)
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
-  local reading, buses, deferral = self.reading, self.buses, self.deferral
+  local reading, buses, headers = self.reading, self.buses, self.headers
   local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
   local options, certain = self.find_options()
   return self.current:finish {
@@ -180,8 +157,8 @@ local function finish(self)
     options = options,
     certain = certain,
     notes = self.notes(),
-    extended = deferral.extended,
-    can = deferral.can,
+    extended = headers.extended,
+    can = headers.can,
     problems = joined({ failed }, { unread }, { reloaded }),
     unread = unread and "not all packets were read",
   }
@@ -210,7 +187,6 @@ local function begin_statistic(self, text, context)
   local statistic = options.row.new(options, context)
   local deriver = events:add(statistic, options)
   if filter then
-    self.has_filter = true
     filter.packet = self.counted(function(pinfo) deriver.matched[pinfo.number] = true end)
   end
 end
