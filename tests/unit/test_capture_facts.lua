@@ -237,14 +237,17 @@ function T.test_what_the_file_or_its_reader_says()
   said.log = { has_several = true, drops = { "of the log" }, lacks_times = true, lacks_clock = true,
     stamps_differ = true }
   local capture = capture_of { is_told = true, drops = { "of the file" } }
-  lu.assertEquals({ capture:drops(), capture:stamps_differ(), capture:are_several(), capture:has_times() },
+  lu.assertEquals({ capture:drops(), capture:is_time_real(0), capture:are_several(), capture:has_times() },
     { { "of the file" }, true, true, true, true })
   capture = capture_of { is_told = false }
   lu.assertEquals({ capture:drops(), capture:has_times() }, { { "of the log" }, false, false })
   said.log = { lacks_clock = true }
-  lu.assertEquals({ capture:drops(), capture:stamps_differ(), capture:has_times() }, { {}, false, true, false })
+  lu.assertEquals({ capture:drops(), capture:is_time_real(1), capture:has_times() }, { {}, false, true, false })
   capture = capture_of { is_told = true, lacks_times = true, has_several = true, stamps_differ = true }
-  lu.assertEquals({ capture:stamps_differ(), capture:are_several(), capture:has_times() }, { true, true, false, false })
+  lu.assertEquals({ capture:is_time_real(0), capture:are_several(), capture:has_times() },
+    { false, true, false, false })
+  capture = capture_of { is_told = true }
+  lu.assertEquals({ capture:is_time_real(0), capture:is_time_real(1) }, { false, true })
 end
 
 -- The times of packets count from that of the first one.

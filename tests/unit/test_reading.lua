@@ -36,7 +36,7 @@ local function new_capture(with)
   local types, buses = types_of.new(TAURUS), {
     name = function(_, bus) return bus and "can" .. bus - 1 or nil end,
     has_times = function() return true, true end,
-    stamps_differ = function() return true end,
+    is_time_real = function() return true end,
   }
   types:use(catalogue_of.assign(TAURUS, {}), (sources.parse("", TAURUS)), {}, function() end)
   types:reset(with and with.several or false)

@@ -175,9 +175,12 @@ function Capture:has_times()
   return has_times, has_times and not log.lacks_clock
 end
 
---- Return whether the first packets of the file have different time stamps: then these mean
--- something.
-function Capture:stamps_differ()
+--- Return whether the time of a packet tells when it was captured.  Equal stamps are no stamps:
+-- until one of a pipe differs, nothing tells.
+-- time  seconds since the first packet
+function Capture:is_time_real(time)
+  local _, has_clock = self:has_times()
+  if not has_clock or time ~= 0 then return has_clock end
   return self.found.stamps_differ or file_readers.log().stamps_differ or false
 end
 

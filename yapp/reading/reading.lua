@@ -56,10 +56,9 @@ end
 --- Forget the capture file.
 -- options  of message.history
 function Reading:reset(options)
-  local finder = copies.new(self.buses)
-  self.messages = messages.new(self.types, history.new(options), finder)
+  self.messages = messages.new(self.types, history.new(options), copies.new(self.buses))
   -- CAN:
-  local function can_judge(time) return finder:can_judge(time) end
+  local function can_judge(time) return self.buses:is_time_real(time) end
   self.reassembly = reassembly.new(can_judge, self.on_unknown)
   self.sources = memo(function(bus) -- [bus or false][ID] = a source
     return memo(function(id) return self.types:new_source(id, bus, self.buses:name(bus)) end)
