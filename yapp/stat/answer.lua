@@ -12,7 +12,6 @@
 
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
-local memo = require "yapp.base.memo"
 local number_of = require("yapp.base.frame_key").number
 local output = require "yapp.stat.output"
 local undecoded = require "yapp.stat.undecoded"
@@ -22,7 +21,7 @@ local M = {}
 local NOTHING = kinds.NOTHING
 local NO_SPANS = "how long faults, gaps and silences lasted is not known, " ..
   "and a message that was recorded twice counts twice"
-local EQUAL_STAMPS = "time stamps of %s stand still: " .. NO_SPANS
+local EQUAL_STAMPS = "time stamps of %s stand still or go back: " .. NO_SPANS
 local STEPS = "time stamps went back %s: what lasted meanwhile seems too short"
 local MANY_STEPS = ", and who is silent at the end is not known"
 local LEFT_OUT = "changes of faults, reboots and gaps are unreliable and left out"
@@ -49,12 +48,10 @@ function M.new(settings, statistic, options)
     latest = {}, -- by source: event of the latest message with a known past
     copies = 0, -- number of messages that were recorded once more, or several times
     originals = {}, -- [source] = frame key of the latest of them
-    -- Where a fault may be hidden: how often by kind of event, and messages by source that have
-    -- room in gaps; nil if the statistic needs no note on that.
+    -- How often a fault may be hidden, by kind of event; nil if the statistic does not say it.
     hiding = (options.looks_for_faults or options.row.looks_for_faults) and {} or nil,
-    gaps = memo(function() return 0 end),
-    unreliable = {}, -- texts: whose history is unreliable; and by text, by source
-    equal_stamps = {}, -- texts: whose stamps stand still; and by text
+    unreliable = {}, -- texts: whose history is unreliable; and by source
+    equal_stamps = {}, -- texts: whose stamps stand still; and by source
   }, Answer)
 end
 
@@ -63,10 +60,10 @@ local function may_have_faults(source)
   return not source.type or source.type.alarms[1] ~= nil
 end
 
--- Add a text to a list, once for a source.
-local function add_text(list, source, text)
-  if not list[source] then list[#list + 1] = text end
-  list[source] = true
+-- Add a text about a source to a list, once.
+local function add_text(list, source, shape, ...)
+  if list[source] then return end
+  list[source], list[#list + 1] = true, shape:format(output.bus_and_id(source), ...)
 end
 
 local function add_message(self, event)
@@ -84,13 +81,12 @@ local function add_message(self, event)
     return
   end
   local shared = values.change and values.change.shared
-  local text = (shared and SHARED or UNRELIABLE):format(output.bus_and_id(source), event.frame)
   local since = shared and number_of(shared) or event.frame
-  if since < event.frame then text = text .. SHARED_BEFORE:format(since) end
-  add_text(self.unreliable, source, text)
+  local shape = since < event.frame and SHARED .. SHARED_BEFORE or shared and SHARED or UNRELIABLE
+  add_text(self.unreliable, source, shape, event.frame, since)
 end
 
--- What else events of some kinds do; true for those that the statistic does not get.
+-- What else events of some kinds do.
 local on_kind = { message = add_message }
 
 -- A message that has copies counts once for all of them.
@@ -102,17 +98,7 @@ end
 
 function on_kind.fault(self, event)
   if event.values.event == "raised" or event.values.active then return end
-  local source = event.source
-  add_text(self.equal_stamps, source, EQUAL_STAMPS:format(output.bus_and_id(source)))
-end
-
-function on_kind.gap(self, event)
-  local source, values = event.source, event.values
-  if self.hiding and may_have_faults(source) then
-    local key = values.is_last and "last" or source
-    self.gaps[key] = self.gaps[key] + values.count
-  end
-  return true
+  add_text(self.equal_stamps, event.source, EQUAL_STAMPS)
 end
 
 --- Count an event, whatever the filter says.
@@ -129,7 +115,8 @@ function Answer:add(event)
   local matched, call = self.matched, on_kind[event.kind]
   if matched and not matched[event.frame] then return end
   self.came[event.source] = true
-  if not (call and call(self, event)) then self:count(event) end
+  if call then call(self, event) end
+  self:count(event)
 end
 
 -- The end -----------------------------------------------------------------------------------------
@@ -187,9 +174,11 @@ end
 
 -- Return a text: how many damaged or lost messages may have had a fault; nil for none.
 local function hidden_faults_text(self, events)
-  local texts, missing = {}, self.gaps.last
-  for _, state in ipairs(events.states) do
-    if not state.is_numbered then missing = missing + self.gaps[state.source] end
+  local texts, missing = {}, 0
+  for _, state in ipairs(self.matched and NOTHING or events.states) do
+    if may_have_faults(state.source) then
+      missing = missing + state.room_at_end + (state.is_numbered and 0 or state.room)
+    end
   end
   for _, row in ipairs(kinds.LIST) do
     local count = row.hides and self.hiding[row.name]

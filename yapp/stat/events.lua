@@ -120,9 +120,8 @@ local function new_state(source)
     faults = NOTHING, -- list of those that are set, as they rose, see message.faults
     is_numbered = false, -- true if Seq No numbers its messages: it changed
     shared_since = math.huge, -- number of the packet from which on two controllers share it
-    -- Its messages have the stamps of one recorder; if these go back, time goes on:
-    rel = -math.huge, -- of its latest message
-    fallen = 0, -- seconds that its stamps went back
+    room = 0, -- number of messages that have room in the gaps between its messages
+    room_at_end = 0, -- the same behind the last one
     orphan_seq = nil, -- of a message whose Start is lost, while its frames come
     unknown_seq = nil, -- the latest, see add_undissected
     stretch = nil, -- of a line: values of its skipped bytes, while nothing else comes
@@ -157,14 +156,11 @@ local function emit(self, kind, cause, values, shown_in)
   end
 end
 
--- Hand on how many messages have room in a gap behind a message.
-local function emit_gap(self, last, length, is_last)
-  local message_type = last.source.type
-  local periods = message_type and message_type.every and length / message_type.every or 0
-  if periods > MAX_GAP then
-    local values = { count = math.floor(periods - 0.5), is_last = is_last }
-    self.hand_on(new_follower("gap", last, values))
-  end
+-- Return how many messages of a source have room in a gap, in seconds.
+local function room_of(source, length)
+  local every = source.type and source.type.every
+  local periods = every and length / every or 0
+  return periods > MAX_GAP and math.floor(periods - 0.5) or 0
 end
 
 --- Return the event of a fault, which is known only behind the last message that counts.
@@ -172,8 +168,8 @@ end
 function Events:fault_event(event, fault, what)
   local flag, rise, active = fault.flag, self.raised_at[fault] or event, nil
   if what ~= "raised" then
-    active = span(rise.rel, event.rel)
-    if active <= 0 and rise.frame ~= event.frame then active = nil end -- equal stamps tell nothing
+    active = span(rise.time, event.time)
+    if active == 0 and rise.frame ~= event.frame then active = nil end -- equal stamps tell nothing
     active = output.seconds(active)
   end
   return new_follower("fault", event, {
@@ -213,7 +209,9 @@ local function add_message(self, state, event)
   state.last = event
   if last then
     if event.seq ~= last.seq then state.is_numbered = true end
-    if not values.is_unreliable then emit_gap(self, last, span(last.rel, event.rel)) end
+    if not values.is_unreliable then
+      state.room = state.room + room_of(event.source, span(last.time, event.time))
+    end
     if change.late then
       emit(self, "silence", last, { length = output.seconds(change.late) }, event.frame)
     end
@@ -269,14 +267,6 @@ end
 function Events:add(event)
   local source, kind = event.source, event.kind
   local state = self.by_source[source]
-  local rel = event.time + state.fallen
-  if kind == "message" or kind == "crc" then -- a loss may come late
-    if rel < state.rel then
-      state.fallen, rel = state.fallen + state.rel - rel, state.rel
-    end
-    state.rel = rel
-  end
-  event.rel = rel
   if kind == "skipped" then return add_skipped(self, state, event) end
   if kind == "undissected" then return add_undissected(self, state, event) end
   if source.id then self.has_messages = true end
@@ -300,7 +290,7 @@ function Events:finish(length_since)
     local last = state.last
     if last and not last.values.is_unreliable then
       local every, length = last.source.type and last.source.type.every, length_since(last)
-      emit_gap(self, last, length, true)
+      state.room_at_end = room_of(last.source, length)
       if every and length > self.settings.late * every then
         local values = { length = output.seconds(length), is_last = true }
         self.hand_on(new_follower("silence", last, values))

@@ -154,8 +154,7 @@ end
 M.NOTHING = {}
 
 --- Make an event, which statistics list and count.
--- kind    "message" for a good message, "gap" for the room of others in front of the next one,
---         else the name of a row
+-- kind    "message" for a good message, else the name of a row
 -- frame   number of the packet; time = seconds since the first one
 -- source  of message.reader, one table for all its events; for events of a bus, or of the capture,
 --         with its bus and name alone, or with nothing
@@ -166,7 +165,6 @@ function M.new_event(kind, frame, time, source, values, message)
   return {
     kind = kind,
     time = time,
-    rel = time, -- the same without the steps back of its source's stamps: see stat.events
     frame = frame,
     source = source,
     values = values or M.NOTHING,
@@ -178,14 +176,14 @@ end
 --- Make an event that follows from the event of a message, its cause.
 function M.new_follower(kind, cause, values)
   local event = M.new_event(kind, cause.frame, cause.time, cause.source, values)
-  event.rel, event.cause = cause.rel, cause
+  event.cause = cause
   return event
 end
 
 --- Return the seconds between two times of a capture, rounded to the nanosecond, so that a gap of
--- 0.1 s does not exceed 0.1.
+-- 0.1 s does not exceed 0.1; 0 if the stamps go back.
 function M.span(from, to)
-  return math.floor((to - from) * 1e9 + 0.5) / 1e9
+  return math.max(0, math.floor((to - from) * 1e9 + 0.5) / 1e9)
 end
 
 return M

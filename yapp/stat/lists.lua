@@ -82,7 +82,7 @@ local function row_of(self, event, ending)
     kind = event.kind,
     frame = event.frame,
     time = time and self.context.dates:value(time),
-    rel = output.seconds(event.rel),
+    rel = output.seconds(time),
     details = nil,
     keys = self.what == "events" and KEYS_OF_KIND[event.kind] or nil,
   }

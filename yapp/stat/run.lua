@@ -193,16 +193,13 @@ function Run:finish(capture)
   -- recorders may alternate: then nothing tells.
   local function length_since(event)
     if self.steps > 1 then return 0 end
-    return math.max(0, kinds.span(event.frame < step.number and step.time or event.time, last))
+    return kinds.span(event.frame < step.number and step.time or event.time, last)
   end
   self.events:finish(length_since)
-  local length = last
-  for _, state in ipairs(self.events.states) do length = math.max(length, state.rel) end
   local seconds, nanoseconds = self.dates:exact(0)
   local reason = explain_nothing_found(self, capture)
   local ending = {
     last = self.last, -- seconds from the first packet to the last one, nil for none
-    length = length, -- of the capture, in seconds
     length_since = length_since, -- function(event) -> seconds from a message to the end
     events = self.events,
     begin = seconds + nanoseconds / 1e9, -- of the first packet

@@ -109,7 +109,7 @@ function Summary:finish(ending, notes)
     rows[i].values = output.object(names, ranges)
   end
   local sources = output.count(#rows, "source")
-  local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.length)
+  local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.last or 0)
   output.print(context, title, COLUMNS, rows, notes)
   if shown[1] then
     context.out("\n")

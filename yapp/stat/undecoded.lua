@@ -105,36 +105,30 @@ local function ranges_of(ids)
   return table.concat(texts, ",")
 end
 
--- Return the IDs that a preference may decode, by message type: each of the messages of an ID has
--- the size of this type, and the ID carries no other.
-local function decodable_ids(self)
-  local sizes, ids = {}, memo(new_list)
+-- Return the message type by ID that a preference may give it: the only one of this size, and of
+-- all messages of the ID that have a size of the catalogue.
+local function types_by_id(self)
+  local types, is_known = {}, {}
   for _, entry in ipairs(self.whole) do
-    local id, size = entry.source.id, entry.size
-    if entry.likes[1] then
-      local is_only = not entry.source.type and (sizes[id] or size) == size
-      sizes[id] = is_only and size or 0
+    local id, like = entry.source.id, entry.likes[1]
+    local is_only = not (entry.source.type or entry.likes[2]) and id <= input.MAX_ID
+    if like and types[id] ~= like then
+      types[id] = is_only and not is_known[id] and like or nil
+      is_known[id] = true
     end
   end
-  for _, entry in ipairs(self.whole) do
-    local id = entry.source.id
-    if sizes[id] == entry.size and id <= input.MAX_ID then
-      for _, message_type in ipairs(entry.likes) do table.insert(ids[message_type], id) end
-    end
-  end
-  return ids
+  return types
 end
 
 -- Return the complete preferences that decode the rest: a text, "" for none.
 local function advice_of(self)
-  local settings, ids, texts, sizes = self.settings, decodable_ids(self), {}, {}
+  local settings, ids, texts = self.settings, memo(new_list), {}
+  for id, message_type in pairs(types_by_id(self)) do table.insert(ids[message_type], id) end
   for _, message_type in ipairs(settings.catalogue.messages) do
     local list = ids[message_type]
     if list[1] then
       for _, id in ipairs(settings.ids[message_type.name]) do list[#list + 1] = id end
-      local option = ("-o yapp.%s_ids:%s"):format(message_type.name, ranges_of(list))
-      texts[#texts + 1] = sizes[message_type.size] and "or " .. option or option
-      sizes[message_type.size] = true
+      texts[#texts + 1] = ("-o yapp.%s_ids:%s"):format(message_type.name, ranges_of(list))
     end
   end
   return texts[1] and ". Try " .. table.concat(texts, " ") or ""
