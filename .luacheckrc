@@ -3,7 +3,7 @@
 std = "min"
 max_line_length = 120 -- of tests; the plugin's own, below
 read_globals = {
-  "all_field_infos", "apply_filter", "apply_preferences", "ByteArray", "base", "bit", "browser_open_url", "copy_to_clipboard", "Dir",
+  "all_field_infos", "apply_filter", "apply_preferences", "Address", "ByteArray", "base", "bit", "browser_open_url", "copy_to_clipboard", "Dir",
   "Dissector", "DissectorTable", "expert", "FileHandler", "frametype", "ftypes", "get_preference", "get_version",
   "gui_enabled", "Int64", "Listener", "MENU_STAT_UNSORTED", "MENU_TOOLS_UNSORTED", "new_dialog", "NSTime", "Pref",
   "Proto", "ProtoExpert", "ProtoField", "redissect_packets", "register_filehandler", "register_menu", "register_packet_menu", "register_stat_cmd_arg",

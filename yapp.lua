@@ -44,7 +44,6 @@ local frame = require "yapp.wire.frame"
 local joined = require "yapp.base.joined"
 local later = require "yapp.base.later"
 local message_types = require "yapp.message.types"
-local ports = require "yapp.host.ports"
 local preferences = require "yapp.host.preferences"
 local show_fields = require "yapp.show.fields"
 local header_reader = require "yapp.host.header"
@@ -55,13 +54,11 @@ local stat_names = require "yapp.stat.names"
 local can_dissector = later "yapp.host.can"
 local packet_menu = later "yapp.show.packet_menu"
 local reading_of = later "yapp.reading.reading"
-local search = later "yapp.host.search"
-local serial_dissector = later "yapp.host.serial"
+local stream_dissector = later "yapp.host.stream"
 local show_frame = later "yapp.show.frame"
 local show_packet = later "yapp.show.packet"
 local show_tree = later "yapp.show.tree"
 local stat_taps = later "yapp.stat.taps"
-local usb = later "yapp.host.usb"
 
 -- The user's own messages follow the plugin's.  They come from yapp_messages.lua in Wireshark's
 -- personal configuration folder, and from the files that a preference and the environment name.
@@ -98,7 +95,6 @@ local taurus = Proto("taurus", "Taurus motor controller")
 local headers = header_reader.new(Proto("yapp_socketcan", "YAPP reads CAN headers"))
 local tcp_header = Proto("yapp_tcp", "YAPP reads TCP headers")
 local usb_header = Proto("yapp_usb", "YAPP reads USB headers")
-local server = Proto("yapp_port", "YAPP looks for YAPP on a server's port")
 preferences.define(yapp, catalogue, field_kinds, frame.MAX_ID)
 
 local buses = captures.watch()
@@ -166,8 +162,24 @@ local function reset_reading()
   streams:reset()
 end
 
+local make_reading
+
+-- A call that began and did not end failed: with a Lua error, which Wireshark shows in the packet
+-- alone.
+local calls = { begun = 0, ended = 0 }
+
+local function counted(call)
+  return function(...)
+    calls.begun = calls.begun + 1
+    if not streams then make_reading() end
+    local result = call(...)
+    calls.ended = calls.ended + 1
+    return result
+  end
+end
+
 -- Make the objects that read and show YAPP: a frame, a packet or a statistic needs them.
-local function make_reading()
+function make_reading()
   if streams then return end
   -- Nothing calls this dissector, as YAPP shows the Taurus messages.  It must exist, because the
   -- API asks by dissector whether a protocol is wanted (see show.tree).  When Wireshark ends, it
@@ -185,40 +197,28 @@ local function make_reading()
   }
   frames = can_dissector.new(reading, show_frame.new(builder), builder, buses, settings,
     headers)
-  streams = serial_dissector.new(reading, show_packet.new(builder), builder, buses, tcp_header)
+  streams = stream_dissector.new {
+    reading = reading,
+    view = show_packet.new(builder),
+    builder = builder,
+    buses = buses,
+    tcp_header = tcp_header,
+    usb_header = usb_header,
+    counted = counted,
+  }
   reset_reading()
 end
 
--- Return the options of tshark that may decode packets in which no YAPP was found, and those of
--- them that certainly decode YAPP: two lists.
+-- Return the options of tshark that may decode packets in which no YAPP was found, those of them
+-- that certainly decode YAPP, and the number of headers that they decode.
 local function find_options()
-  local found, options = buses.found, streams:options()
+  local found, options, count = buses.found, streams:undecoded_options()
   local serial_options = streams:has_serial() and {} or found:serial_options()
   local certain = joined(found.has_serial_frames and serial_options or {}, options)
-  return joined(serial_options, options), certain
-end
-
--- Return the notes of statistics on streams: a packet list looks for YAPP only if the first bytes
--- may have it.
-local function notes()
-  return joined(buses.found.may_have_frames and {} or streams:notes(), usb.notes())
+  return joined(serial_options, options), certain, count
 end
 
 -- Dissectors --------------------------------------------------------------------------------------
-
--- A call that began and did not end failed: with a Lua error, which Wireshark shows in the packet
--- alone.
-local calls = { begun = 0, ended = 0 }
-
-local function counted(call)
-  return function(...)
-    calls.begun = calls.begun + 1
-    if not streams then make_reading() end
-    local result = call(...)
-    calls.ended = calls.ended + 1
-    return result
-  end
-end
 
 -- Return the CAN id of a frame that did not come through the table of ids, as host.header
 -- does.
@@ -278,20 +278,11 @@ end)
 
 -- A conversation becomes YAPP's with its first packet that is YAPP.
 local found_by_content = counted(function(tvb, pinfo, root)
-  if not streams:accepts(tvb, pinfo, root) then return false end
+  if not streams:accepts(tvb, pinfo) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
   return true
 end)
-
--- Called for a port of host.ports.
-local to_serial = Dissector.get("yapp_serial")
-ports.use(server, counted(function(tvb, pinfo, root)
-  if not ports.is_of_others(pinfo) then return 0 end
-  if not streams:accepts(tvb, pinfo, root) then return 0 end
-  pinfo.conversation = serial
-  return to_serial:call(tvb, pinfo, root)
-end))
 
 -- Each call of a heuristic costs time, and most captures are full of other TCP and UDP.  So search
 -- only if the first bytes of a file may have a YAPP frame, if there are no packets yet (a live
@@ -299,11 +290,12 @@ end))
 local is_searching = false
 
 local function search_streams()
+  make_reading()
+  streams:watch()
   if is_searching then return end
   is_searching = true
   serial:register_heuristic("tcp", found_by_content)
   serial:register_heuristic("udp", found_by_content)
-  usb.watch(usb_header, counted(function(...) streams:dissect_usb(...) end))
 end
 
 -- Return the controller's own time of a frame in a raw dump ("Nanoseconds since boot"), nil for
@@ -327,17 +319,17 @@ local function make_statistics()
     buses = buses,
     reading = reading,
     find_options = find_options,
-    notes = notes,
     frames = frames,
     headers = headers,
     counted = counted,
     calls = calls,
-    watch = function(path)
+    watch = function()
       watch_unclaimed()
       if gui_enabled() then return end
       search_streams()
-      if path and buses:has_more_to_read() then
-        streams:expect(search.conversations(path, 65536))
+      for _, name in ipairs { "tcp", "udp" } do
+        local tap = Listener.new(name)
+        tap.packet = counted(function(pinfo, tvb) streams:count_headers(pinfo, tvb) end)
       end
     end,
     -- A wrapper that is there when Wireshark reloads its Lua plugins takes SocketCAN away with it.
@@ -404,12 +396,7 @@ function yapp.init()
   types:reset(buses:are_several())
   if stat then stat:reset() end
   if streams then reset_reading() end
-  local found = buses.found
-  if found.head then
-    make_reading()
-    streams:scan(found.head)
-  end
-  if yapp.prefs.search_all or found.may_have_frames then search_streams() end
+  if yapp.prefs.search_all or buses.found.may_have_frames then search_streams() end
   calls.ended = 1
 end
 
@@ -436,7 +423,7 @@ end
 file_readers.register {
   new_framer = function()
     make_reading()
-    return reading:new_framer(frame.LARGEST)
+    return reading:new_framer { is_patient = true }
   end,
   time_of = controller_time,
 }

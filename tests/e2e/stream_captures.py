@@ -195,8 +195,8 @@ def may_be_header(data):
 class Oracle:
     """Which frames a stream has, and what of them is certain when so many bytes have come."""
 
-    def __init__(self, data):
-        self.data = data
+    def __init__(self, data, dropped=()):
+        self.data, self.dropped = data, set(dropped)  # the candidates that the stream did not wait for
         self.starts = [at for at in range(len(data)) if b"YP".startswith(data[at:at + 2])]
         self.whole, self.open = [], []  # the candidates: (start, end, good), and those whose end never comes
         self.belief = {}  # of each, by start
@@ -212,22 +212,25 @@ class Oracle:
 
     def good(self, came, ended):
         """The good frames: where two overlap, the one that begins first.  While the stream goes on, frames wait for an open
-        candidate that begins before them, unless it is larger than a stream waits for."""
+        candidate that begins before them.  One that is larger than a stream waits for is noise."""
         taken, at = [], 0
         for start, end, is_good in sorted([*self.whole, *((start, end, False) for start, end in self.open)]):
-            if start < at or start + HEADER > came:
+            if start < at or start + HEADER > came or start in self.dropped:
                 continue
-            if end > came and not ended and end - start <= (PATIENCE if self.belief[start] else NOISE_PATIENCE):
-                break
-            if is_good and end <= came:
+            if end > came and not ended:
+                patience = {"known": 65551, "unknown": PATIENCE, "": NOISE_PATIENCE}[self.belief[start]]
+                if end - start <= patience:
+                    break
+                self.dropped.add(start)
+            elif is_good and end <= came:
                 taken.append((start, end))
                 at = end
         return taken
 
     def waiting(self, came, after):
         """Where the first candidate begins that may still prove good, or what may be a header."""
-        whole = [start for start, end, _ in self.whole if start >= after and start + HEADER <= came < end]
-        unfinished = [start for start, _ in self.open if start >= after and start + HEADER <= came]
+        whole = [start for start, end, _ in self.whole if start >= after and start + HEADER <= came < end and start not in self.dropped]
+        unfinished = [start for start, _ in self.open if start >= after and start + HEADER <= came and start not in self.dropped]
         headers = [at for at in range(max(after, came - HEADER + 1), came) if b"YP".startswith(self.data[at:min(at + 2, came)])]
         return min(whole + unfinished + headers, default=came)
 
@@ -236,7 +239,7 @@ class Oracle:
         begins; behind the limit is a "good" frame, the "end", or what is "open"."""
         events, at = [], start
         for first, end in sorted((one[0], one[1]) for one in [*self.whole, *self.open] if one[0] + HEADER <= came):
-            if not self.belief[first] or not at <= first < limit:
+            if not self.belief[first] or first in self.dropped or not at <= first < limit:
                 continue
             stop = min([one for one, belief in self.belief.items() if belief == "known" and first < one < limit], default=limit)
             if end > stop and stop == limit and behind == "open":
@@ -276,7 +279,7 @@ class Packet:
         self.events, self.pending, self.leads_to, self.held = [], b"", set(), False
         self.time = self.number = self.sequence = None
         self.acknowledged = 1
-        self.bus, self.buses = "", {}
+        self.bus = ""
         self.link = lambda packet: packet.data
 
 
@@ -335,19 +338,22 @@ class Datagrams:
     it goes on with a frame or begins one."""
 
     def __init__(self, origin, by_content):
-        self.origin, self.by_content, self.is_cut = origin, by_content, False
-        self.run, self.came, self.done = [], 0, 0  # the packets of the byte stream
+        self.origin, self.by_content = origin, by_content
+        self.run, self.came, self.done, self.dropped = [], 0, 0, set()  # the packets of the byte stream
 
-    def oracle(self):
-        return Oracle(b"".join(packet.data for packet in self.run))
+    def events(self, ended=False):
+        oracle = Oracle(b"".join(packet.data for packet in self.run), self.dropped)
+        found = oracle.events(self.came, self.done, ended)
+        self.dropped = oracle.dropped
+        return found
 
     def end(self, packet=None):
         """The byte stream ends; the packet shows what is left of it."""
-        rest, _ = self.oracle().events(self.came, self.done, ended=True)
+        rest, _ = self.events(ended=True)
         if packet:
             packet.events = rest
             note_parts(self.run, packet, rest)
-        self.run, self.came, self.done = [], 0, 0
+        self.run, self.came, self.done, self.dropped = [], 0, 0, set()
 
     def next(self, data):
         packet = Packet(data, self.origin)
@@ -361,12 +367,10 @@ class Datagrams:
         packet.start, packet.end = self.came, self.came + len(data)
         self.run.append(packet)
         self.came = packet.end
-        packet.events, self.done = self.oracle().events(self.came, self.done)
+        packet.events, self.done = self.events()
         packet.pending = data[max(self.done - packet.start, 0):]
         note_parts(self.run, packet)
-        self.is_cut = self.is_cut or any(set(event.parts) - {packet} for event in packet.events)
-        is_begun = bool(packet.pending) and (self.is_cut or may_be_header(packet.pending) if len(packet.pending) > 1
-                                             else self.is_cut or len(data) == 1)
+        is_begun = bool(packet.pending) and (may_be_header(packet.pending) if len(packet.pending) > 1 else len(data) == 1)
         if self.by_content and not (waited or is_begun or any(event.kind != "skipped" for event in packet.events)):
             packet.events, packet.pending = [], b""
             self.end()
@@ -429,33 +433,48 @@ def merged(events):
     return result
 
 
+MAX_HELD = 16  # segments behind a lost one: then it is given up
+
+
+class Connection(Datagrams):
+    """One direction of a TCP connection of which some segments are missing: those behind a gap wait."""
+
+    def __init__(self, origin):
+        super().__init__(origin, False)
+        self.held, self.expected = [], 0
+
+    def next(self, data, at):
+        packet, found = Packet(data, self.origin), []
+        packet.sequence = at + 1
+        self.held.append(packet)
+        while self.held:
+            first = self.held[0]
+            if first.sequence - 1 > self.expected:
+                if len(self.held) < MAX_HELD:
+                    break
+                rest, _ = self.events(ended=True)
+                note_parts(self.run, packet, rest)
+                found += rest
+                self.run, self.came, self.done, self.dropped = [], 0, 0, set()
+            self.held.pop(0)
+            self.run.append(first)
+            first.start, first.end = self.came, self.came + len(first.data)
+            self.came, self.expected = first.end, first.sequence - 1 + len(first.data)
+            more, self.done = self.events()
+            note_parts(self.run, packet, more)
+            found += more
+        packet.events, packet.held = merged(found), packet in self.held
+        packet.pending = data if packet.held else data[max(self.done - packet.start, 0):]
+        return packet
+
+
 def segments_lost(rng, data, origin):
-    """Some segments are not in the capture.  The other side acknowledges their bytes, so nothing waits for them: the next
-    packet shows what is left of the bytes before them, and the stream starts anew."""
-    first, runs, sequence = good(rng), [], 1
-    pieces = [first, *cuts(rng, data)]
-    while pieces:
-        count = rng.randrange(1, 8)
-        ends = [0]
-        for piece in pieces[:count]:
-            ends.append(ends[-1] + len(piece))
-        run = joined(b"".join(pieces[:count]), origin, list(zip(ends, ends[1:])))
-        if runs:
-            before = runs[-1]
-            rest, _ = Oracle(b"".join(packet.data for packet in before)).events(before[-1].end, before[-1].done, ended=True)
-            for event in rest:
-                note_parts(before, run[0], [event])
-            run[0].events = merged(rest + run[0].events)
-        for packet in run:
-            packet.sequence += sequence - 1
-        runs.append(run)
-        sequence += ends[-1] + sum(map(len, pieces[count:count + 1]))
-        pieces = pieces[count + 1:]
-    packets = runs[0]
-    for run in runs[1:]:
-        acknowledgement = Packet(b"", Origin(origin.linktype, origin.interface, origin.number ^ 1, address=True, host=origin.host))
-        acknowledgement.sequence, acknowledgement.acknowledged = 1, run[0].sequence
-        packets += [acknowledgement, *run]
+    """Some segments are not in the capture."""
+    connection, at, packets = Connection(origin), 0, []
+    for piece in [good(rng), *cuts(rng, data)]:
+        if not packets or rng.random() > 0.1:
+            packets.append(connection.next(piece, at))
+        at += len(piece)
     return packets
 
 
@@ -477,11 +496,6 @@ def addresses(origin):
     here, there = bytes([192, 0, 2, origin.host]), bytes([198, 51, 100, origin.pair // 2 % 250 + 1])
     ports = (50000 + origin.pair, 20001)
     return (here, there, *ports) if origin.direction == 0 else (there, here, *ports[::-1])
-
-
-def sender(origin):
-    source, _, port, _ = addresses(origin)
-    return f"{'.'.join(map(str, source))}:{port}"
 
 
 def raw(packet):
@@ -621,23 +635,8 @@ class Capture:
         origins = {packet.origin.interface: packet.origin.linktype for packet in packets}
         self.linktypes = [origins.get(interface, USER0) for interface in range(max(origins, default=0) + 1)]
         self.buses = {(packet.origin.interface, packet.origin.bus_direction) for packet in packets}
-        senders = self.senders_by_id() if link in (udp, tcp) else {}
         for packet in packets:
             packet.bus = self.bus_name(packet.origin)
-            packet.buses = {ident: sender(packet.origin) for ident, names in senders.items() if len(names) > 1}
-
-    def senders_by_id(self):
-        """The senders of each ID in the file's first 64 KB, by the headers that packets begin with."""
-        found, place, data = {}, len(self.head()), self.bytes()[:65536]
-        for packet in self.packets:
-            length = len(self.link(packet))
-            begin = place + 28 + length - len(packet.data)
-            if begin + HEADER <= len(data) and packet.data[:2] == b"YP" and packet.captured > 1:
-                ident, _, reserved = struct.unpack_from("<IHH", data, begin + 4)  # they may end in another packet
-                if ident < 0x800 and (not reserved or 8 <= len(packet.data) < HEADER):
-                    found.setdefault(ident, set()).add(sender(packet.origin))
-            place += len(self.packet_block(packet, self.link(packet)))
-        return found
 
     def bus_name(self, origin):
         """The name that tells the bus of a packet from others, "" where the capture has one bus."""
@@ -684,12 +683,11 @@ def note_deltas(packets):
     previous = {}
     for packet in packets:
         origin = packet.origin
-        # In UDP and TCP a sender is one source, whoever receives it.
-        sender = addresses(origin)[::2] if origin.linktype == ETHERNET else (origin.pair, origin.direction)
-        stream_key = (origin.interface, *sender)
         for event in packet.events:
             if event.kind == "good":
-                key = (*stream_key, event.ident)
+                # In UDP and TCP a controller is one source, whoever talks with it; it receives Commands.
+                source = addresses(origin)[event.ident == 0] if origin.linktype == ETHERNET else (origin.pair, origin.direction)
+                key = (origin.interface, source, event.ident)
                 event.delta = (packet.time - previous[key]) * 1000 if key in previous else None
                 previous[key] = packet.time
 

@@ -101,7 +101,7 @@ def faults(payload):
 def info(packet, event):
     if event.kind == "skipped":
         return f"Skipped {counted(event.data)}{quoted(event.data)}"
-    bus = packet.bus or packet.buses.get(event.ident)
+    bus = packet.bus
     source = f" ({bus})" if bus else ""
     known = model.MESSAGES.get(event.ident)
     if known:

@@ -186,9 +186,9 @@ function T.test_bytes_of_no_frame()
   skipped(stream, 3)
   skipped(other, 4)
   skipped(stream, 5)
-  report_message(events, message { source = { line = other, type = MESSAGE }, frame = 6 })
+  report_message(events, message { source = { skipped = other, type = MESSAGE }, frame = 6 })
   skipped(stream, 7)
-  report_anomalies(events, { source = { line = stream }, frame = 8 }, { { expert = "fragment.incomplete" } })
+  report_anomalies(events, { source = { skipped = stream }, frame = 8 }, { { expert = "fragment.incomplete" } })
   skipped(stream, 9)
   local texts = {}
   for i, event in ipairs(list) do texts[i] = ("%s %d %s"):format(event.kind, event.frame, event.values.length or "") end

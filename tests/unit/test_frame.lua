@@ -49,9 +49,9 @@ function T.test_the_begin_of_a_header()
         for length = 2, 12 do
           local begin, zeros = header:sub(1, length), ("\0"):rep(12 - length)
           local name = ("bytes %d and %d are %d, length %d"):format(index, other, value, length)
-          lu.assertEquals(frame.may_be_plausible("x" .. begin, 2), frame.is_plausible(begin .. zeros, 1), name)
+          lu.assertEquals(frame.may_be_header("x" .. begin, 2), frame.is_plausible(begin .. zeros, 1), name)
         end
-        lu.assertEquals(frame.has_id("x" .. header, 2), frame.may_be_plausible(header:sub(1, 8), 1))
+        lu.assertEquals(frame.has_id("x" .. header, 2), frame.may_be_header(header:sub(1, 8), 1))
       end
     end
   end

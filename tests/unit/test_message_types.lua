@@ -102,11 +102,7 @@ function T.test_what_a_source_of_a_stream_is_called()
   local function text(r, id) return r:new_source(id, false, nil, line).text end
   lu.assertEquals(text(new("0x200=left", nil, true), 0x210), "10.0.0.1:14550 0x210")
   lu.assertEquals(text(new("0x200=left", nil, true), 0x200), "left")
-  local function label(is_shared)
-    return new("0x200=left"):new_source(0x210, false, "10.0.0.1:14550", line, is_shared).label
-  end
-  lu.assertEquals(label(false), "Motor Data")
-  lu.assertEquals(label(true), "Motor Data 0x210 (10.0.0.1:14550)")
+  lu.assertEquals(new("0x200=left"):new_source(0x210, false, "10.0.0.1", line).label, "Motor Data")
 end
 
 function T.test_the_id_is_told_where_it_is_not_the_default()

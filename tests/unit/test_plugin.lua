@@ -98,12 +98,10 @@ local function set_modules()
   function found.serial_options() return { "-d serial" } end
   local stands = {
     ["yapp.capture.capture"] = { watch = function() return stand_in("buses", { found = found }) end },
-    ["yapp.host.ports"] = module("ports"),
     ["yapp.host.preferences"] = module("preferences"),
     ["yapp.host.header"] = { new = function() return stand_in("headers") end },
-    ["yapp.host.usb"] = module("usb"),
     ["yapp.host.can"] = maker("can", stand_in("frames")),
-    ["yapp.host.serial"] = maker("serial", stand_in("streams")),
+    ["yapp.host.stream"] = maker("stream", stand_in("streams")),
     ["yapp.file.readers"] = module("readers"),
     ["yapp.reading.reading"] = maker("reading", stand_in("reading")),
     ["yapp.show.fields"] = module("fields", { EXPERT_NAMES = { ["command.key.invalid"] = true } }),
@@ -127,7 +125,7 @@ function T.setUp()
       seen.catalogue = catalogue
       for name, value in pairs(DEFAULTS) do proto.prefs[name] = value end
     end,
-    ["streams.options"] = {}, ["streams.notes"] = { "of streams" }, ["usb.notes"] = { "of USB" },
+    ["streams.undecoded_options"] = {},
     ["fields.of_yapp"] = {}, ["fields.of_taurus"] = {},
   }
   for name in pairs(package.loaded) do if name:find("^yapp%.") then real.loaded[name] = package.loaded[name] end end
@@ -353,9 +351,8 @@ end
 
 function T.test_a_file_whose_beginning_may_have_yapp()
   local protos = open(false, function(_, found) found.head, found.may_have_frames = "bytes", true end)
-  lu.assertEquals(seen.arguments["streams.scan"], { "bytes" })
   lu.assertEquals(heuristics_of(protos.yapp_serial), { "tcp", "udp" })
-  lu.assertIs(seen.arguments["usb.watch"][1], protos.yapp_usb)
+  lu.assertEquals(#calls_of("streams.watch"), 1)
   protos.yapp.init()
   lu.assertEquals(heuristics_of(protos.yapp_serial), { "tcp", "udp" })
 end
@@ -468,7 +465,7 @@ function T.test_a_module_is_missing()
 end
 
 function T.test_options_that_may_decode_more()
-  said["streams.options"] = { "-d tcp" }
+  said["streams.undecoded_options"] = { "-d tcp" }
   local _, found = open(true)
   local parts = seen.made.taps[1]
   lu.assertEquals({ parts.find_options() }, { { "-d serial", "-d tcp" }, { "-d tcp" } })
@@ -476,9 +473,7 @@ function T.test_options_that_may_decode_more()
   lu.assertEquals({ parts.find_options() }, { { "-d serial", "-d tcp" }, { "-d serial", "-d tcp" } })
   said["streams.has_serial"] = true
   lu.assertEquals({ parts.find_options() }, { { "-d tcp" }, { "-d tcp" } })
-  lu.assertEquals(parts.notes(), { "of streams", "of USB" })
   found.may_have_frames = true
-  lu.assertEquals(parts.notes(), { "of USB" })
 end
 
 -- Dissectors ---------------------------------------------------------------------------------------------------------
@@ -546,20 +541,6 @@ function T.test_a_conversation_is_found_by_content()
   lu.assertEquals(#calls_of("streams.dissect"), 1)
 end
 
-function T.test_a_port_that_another_protocol_has()
-  local protos = open()
-  local arguments = seen.arguments["ports.use"]
-  local server, dissector = arguments[1], arguments[2]
-  lu.assertIs(server, protos.yapp_port)
-  local function dissect(is_of_others, accepts)
-    local pinfo = {}
-    said["ports.is_of_others"], said["streams.accepts"], said["dissector yapp_serial.call"] = is_of_others, accepts, 40
-    return { dissector("tvb", pinfo, "root"), pinfo.conversation == protos.yapp_serial }
-  end
-  lu.assertEquals({ dissect(false, true), dissect(true, false), dissect(true, true) },
-    { { 0, false }, { 0, false }, { 40, true } })
-end
-
 -- Of Motor Data, whose clock begins at byte 22 of its payload.
 function T.test_the_time_of_a_frame_in_a_dump()
   load()
@@ -579,7 +560,7 @@ function T.test_the_time_of_a_frame_in_a_dump()
   lu.assertEquals({ parts.time_of(frame(0x210, 32, ("\255"):rep(8))) }, {}, "before 0")
   said["reading.new_framer"] = "framer"
   lu.assertEquals(parts.new_framer(), "framer")
-  lu.assertTrue(seen.arguments["reading.new_framer"][1] >= 65535)
+  lu.assertEquals(seen.arguments["reading.new_framer"], { { is_patient = true } })
 end
 
 return T

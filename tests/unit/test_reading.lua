@@ -339,13 +339,12 @@ local function visit_packet(capture, kind, bytes, with)
   local number = with.number or capture.number + 1
   capture.number = number
   local address = kind == 0 and "" or "10.0.0.1"
-  local line = capture.reading.lines:of(kind, address, 5000, "10.0.0.2", 14550, nil, not with.visited and number / 10)
+  local line = capture.reading.lines:of(kind, address, 5000, "10.0.0.2", 14550)
   local packet = { key = number * frame_key.PACKET + 42, number = number, time = number / 10,
     visited = with.visited or false, epoch = with.epoch or false, bytes = bytes,
     length = #bytes + (with.truncated or 0),
-    truncated = with.truncated ~= nil, is_found = capture.reading.found[line.trial_key], line = line,
-    stream = line.key, seq = with.seq, is_bus_known = true, is_only_pass = false, wants_state = false }
-  if with.try then return capture.reading:try_packet(packet) end
+    truncated = with.truncated ~= nil, line = line,
+    seq = with.seq, is_bus_known = true, is_only_pass = false, wants_state = false }
   if with.visited then return capture.reading:recall_packet(packet) end
   return capture.reading:add_packet(packet)
 end
@@ -407,47 +406,11 @@ function T.test_datagrams_and_tcp()
   end
 end
 
--- A conversation counts as read once the first frame that the file has of it was.
-function T.test_a_conversation_that_is_awaited()
-  local one = { is_tcp = true, from = "10.0.0.1:5000", to = "10.0.0.2:14550", payload = payload_of(MOTOR, 1) }
-  for bytes, count in pairs { [MOTOR_FRAME] = 0, [HEALTH_FRAME] = 1 } do
-    local capture = new_capture()
-    capture.reading.lines:await { one }
-    visit_packet(capture, lines.TCP, bytes, { seq = 100 })
-    lu.assertEquals(#capture.reading.lines:list_unread { one }, count)
-  end
-end
-
--- A conversation is found by its content, with what came before it was clear.
-function T.test_a_conversation_that_is_tried()
-  local capture = new_capture()
-  lu.assertFalse((visit_packet(capture, lines.TCP, "GET / HTTP/1.1\r\n", { try = true, seq = 1 })))
-  capture = new_capture()
-  lu.assertFalse((visit_packet(capture, lines.TCP, MOTOR_FRAME:sub(1, 11), { try = true, seq = 100 })))
-  local is_found, had_earlier = visit_packet(capture, lines.TCP, MOTOR_FRAME:sub(12), { try = true, seq = 111 })
-  lu.assertEquals({ is_found, had_earlier }, { true, true })
-  lu.assertEquals(capture.events, {}) -- the packet itself is added by who asked
-  visit_packet(capture, lines.TCP, MOTOR_FRAME:sub(12), { number = 2, seq = 111 })
-  lu.assertEquals(#capture.events, 1)
-end
-
-function T.test_what_is_yapp()
-  local reading = new_capture().reading
-  lu.assertTrue(reading:is_yapp("noise" .. MOTOR_FRAME))
-  lu.assertTrue(reading:is_yapp(BAD_FRAME)) -- the catalogue has its ID and size
-  lu.assertFalse(reading:is_yapp("YP is not enough, nor are these bytes"))
-  local unknown = generator.frame(0x123, payload_of(0x123, 1))
-  lu.assertEquals({ reading:is_yapp(unknown), reading:is_yapp(unknown:sub(1, -2) .. "?") }, { true, false })
-  lu.assertFalse(reading:is_yapp(""))
-  lu.assertTrue(reading:may_be_yapp(MOTOR_FRAME:sub(1, 12)))
-  lu.assertFalse(reading:may_be_yapp(("x"):rep(200)))
-end
-
 function T.test_skipped_bytes_of_a_dump()
   local capture = new_capture()
   local line = capture.reading.lines:of(lines.UDP, "", 0, "", 0)
   local packet = { key = 7 * frame_key.PACKET, number = 7, time = 0, visited = false, bytes = "?????", length = 5,
-    line = line, stream = line.key, is_bus_known = true }
+    line = line, is_bus_known = true }
   local contents = capture.reading:add_skipped(packet)
   lu.assertEquals({ results_in_words(contents), contents.results[1].transfer.offset }, { "skipped 5", 0 })
   lu.assertEquals(capture.events, { "skipped line @7" })

@@ -134,7 +134,8 @@ local function run(arguments, records, with)
   for i, one in ipairs(with.unfinished or {}) do results[i] = result_of(one) end
   local code, texts = queue:finish { results = results, drops = with.drops or {},
     problems = { with.unread }, unread = with.unread,
-    lacks_times = with.lacks_times, extended = with.extended or 0, can = with.can or 0, certain = with.certain }
+    lacks_times = with.lacks_times, extended = with.extended or 0, can = with.can or 0, certain = with.certain,
+    undecoded = with.undecoded }
   return table.concat(printed), code, texts
 end
 
@@ -728,7 +729,7 @@ function T.test_silences()
 end
 
 function T.test_bytes_of_no_frame()
-  local records = { record(1, 0), skipped(2, 0.1), lost(2, 0.15, "orphan", { line = STREAM, id = 1 }), skipped(3, 0.2) }
+  local records = { record(1, 0), skipped(2, 0.1), lost(2, 0.15, "orphan", { skipped = STREAM, id = 1 }), skipped(3, 0.2) }
   lu.assertEquals(found("events,json", "skipped", records), { '{"kind":"skipped",,"length":5}', '{"kind":"skipped",,"length":5}' })
   lu.assertStrContains(run({ "events" }, records), "5 bytes of no frame")
   lu.assertStrContains(run({ "summary,json" }, records), '{"bus":"ttyA","id":null,"source":null,"message":null,"count":0,')
@@ -1121,9 +1122,9 @@ function T.test_messages_that_are_not_dissected()
   for can = 0, 1 do -- not every packet is CAN's
     lu.assertStrContains(run({ "faults" }, { records[2] }, { can = can, last = 2 }), "see yapp.user_dlt")
   end
-  local with = { certain = { "-d a", "-d b" }, last = 2 }
+  local with = { certain = { "-d a", "-d b" }, undecoded = 3, last = 2 }
   lu.assertStrContains(run({ "check" }, {}, with), "the capture has YAPP that was not decoded")
-  lu.assertStrContains(run({ "check" }, { records[1] }, with), "YAPP in other packets was not decoded: try -d a -d b")
+  lu.assertStrContains(run({ "check" }, { records[1] }, with), "3 YAPP headers in this file were not decoded; try -d a -d b")
 end
 
 function T.test_nothing_to_judge_by()

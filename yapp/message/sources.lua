@@ -239,6 +239,11 @@ function Sources:has_part(bus, id)
   return false
 end
 
+--- Return whether a part names a bus, itself and not one that includes it.
+function Sources:names_bus(bus)
+  return rawget(self.by_bus, bus) ~= nil
+end
+
 --- Return all that was read: a list of { bus = name or nil, id = nil for all of a bus, type =
 -- message type or nil, name = or nil }.
 function Sources:list()

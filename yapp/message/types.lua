@@ -55,6 +55,12 @@ function Types:type_of(id, bus, interface)
   return self.sources and (self.sources:find(bus, id, interface)) or self.by_id[id]
 end
 
+--- Return whether the user names a source of a bus.
+-- bus  name, of UDP or TCP with the port
+function Types:names_bus(bus)
+  return self.sources ~= nil and self.sources:names_bus(bus)
+end
+
 --- Return the payload size of that type and the smallest that it may have, nil for none.
 function Types:size_of(id)
   local of_type = self:type_of(id)
@@ -74,11 +80,11 @@ end
 -- Return the label of a message: its title and the name of its source.  Without a name, the ID or
 -- bus follows if it tells the source from others: "Motor Data left", "Motor Data 0x212 (can1)",
 -- "Motor Data", "ID 0x123".
-local function label_of(self, of_type, name, id, bus, is_shared)
+local function label_of(self, of_type, name, id, bus)
   local title = title_of(of_type, id)
   local is_usual = not of_type or id == of_type.id and not self.several_ids[of_type]
   if name then return title .. " " .. name end
-  local needs_bus = bus and (self.has_several or is_shared)
+  local needs_bus = bus and self.has_several
   if is_usual and not needs_bus then return title end
   return title .. (of_type and (" 0x%x"):format(id) or "") .. (bus and (" (%s)"):format(bus) or "")
 end
@@ -94,7 +100,6 @@ end
 -- bus_key  of the bus or stream, or false
 -- bus      its name, nil if the capture names none
 -- line     of a stream, see serial.lines; nil on CAN
--- is_shared  true if other senders in UDP or TCP have the ID, too
 -- returns  {
 --   id, bus, bus_key, line
 --   name      that the user gave it, or nil
@@ -104,11 +109,11 @@ end
 --   write     function(raws) -> the values in Info, nil without a message type
 --   text      for the column Source: the name, else bus and ID, where they differ from others'
 --   texts     of the fragments of its messages, see show.frame }
-function Types:new_source(id, bus_key, bus, line, is_shared)
+function Types:new_source(id, bus_key, bus, line)
   local interface = line and line.interface or nil
   local of_type, name = self.sources:find(bus, id, interface)
   of_type = of_type or self.by_id[id]
-  local label = label_of(self, of_type, name, id, bus, is_shared)
+  local label = label_of(self, of_type, name, id, bus)
   return {
     id = id,
     bus = bus,

@@ -4,7 +4,7 @@
 --
 --   frame ──► can.reassembly ─┐
 --                             ├─► transfer ─► reading.messages ─► result ─► listener
---   packet ─► serial.streams ─┘              (values, history)
+--   packet ─► serial.stream ──┘              (values, history)
 --
 -- On a revisit, read_frame and recall_packet return the same result.
 
@@ -20,16 +20,13 @@ local memo = require "yapp.base.memo"
 local messages = require "yapp.reading.messages"
 local reassembly = require "yapp.can.reassembly"
 local records = require "yapp.reading.records"
-local streams = require "yapp.serial.streams"
-local transfers = require "yapp.serial.transfers"
+local streams = require "yapp.serial.stream"
 
 local M = {}
 
 local BUS, START = can_id.BUS, can_id.START
 local sub = string.sub
-local MAX_SHORT = 128 -- bytes; a longer packet of an unknown conversation is YAPP if it is alone
 local LOST = { { expert = "fragment.incomplete", text = "" } } -- of a message without an End
-local FIRST = 4096 -- bytes: few need more to show that they are YAPP
 
 local Reading = {}
 Reading.__index = Reading
@@ -68,10 +65,11 @@ function Reading:reset(options)
   self.plain = records.new_result("fragment", false)
   self.result = records.new_result("other", false)
   -- Streams:
-  self.streams = streams.new(function() return self:new_framer() end, can_judge)
+  self.streams = streams.new(function(line)
+    return self:new_framer { may_be_telnet = line.is_tcp }
+  end)
   self.lines = lines.new(self.types, self.buses)
   self.ending = false -- see Reading:finish
-  self.found = {} -- [trial_key of a line] = true: conversations that were found by content
 end
 
 -- Report a result, and return it.
@@ -176,40 +174,22 @@ end
 -- Streams -----------------------------------------------------------------------------------------
 
 --- Make a framer for bytes of a capture.
--- patience  of serial.framer; nil for the usual
-function Reading:new_framer(patience)
-  return framer.new(function(id) return self.types:size_of(id) end, patience)
-end
-
---- Return whether bytes are YAPP: they hold a good frame, or a message of the catalogue with a bad
--- CRC or bytes missing.  Ten bytes of its header are given, so chance does not make one.
-function Reading:is_yapp(bytes)
-  if not frame.find(bytes, 1) then return false end
-  if #bytes > FIRST and self:is_yapp(sub(bytes, 1, FIRST)) then return true end
-  for _, finding in ipairs(self.streams:split(bytes)) do
-    local id = finding.status ~= "skipped" and frame.parse(bytes, finding.offset + 1)
-    if finding.status == "good" or id and self.types:size_of(id) then return true end
-  end
-  return false
-end
-
---- Return whether bytes of an unknown conversation may be YAPP, alone or with those behind them.
-function Reading:may_be_yapp(bytes)
-  return self:is_yapp(bytes) or #bytes <= MAX_SHORT and self.streams.may_begin(bytes)
+-- options  of serial.framer
+function Reading:new_framer(options)
+  return framer.new(function(id) return self.types:size_of(id) end, options)
 end
 
 -- Return the result of a finding, with the message that it holds.
 -- index  of the finding in its packet
 local function finding_result(self, packet, finding, index)
+  local transfer, id, seq, anomalies = streams.new_transfer(finding, packet.bytes)
+  local source = self.lines:source(packet.line, id)
   if finding.status == "skipped" then
-    local of_bytes = records.new_serial_frame(packet, 1, packet.line)
+    local of_bytes = records.new_serial_frame(packet, 1, source)
     local result = records.new_result("skipped", of_bytes)
-    result.transfer, result.length = finding, finding.to - finding.from
+    result.transfer, result.length = transfer, transfer.length
     return result
   end
-  local transfer, id, seq, anomalies = transfers.new(finding, finding.bytes or packet.bytes)
-  local source = self.lines:source(packet.line, id)
-  if packet.line.awaited then lines.mark_read(packet.line, transfer) end
   local of_frame = records.new_serial_frame(packet, index, source, seq)
   local result = records.new_result("single", of_frame)
   result.transfer, result.anomalies = transfer, anomalies
@@ -218,7 +198,7 @@ local function finding_result(self, packet, finding, index)
   return result
 end
 
--- Return the result of a packet: its contents, as serial.streams has them, with the results of its
+-- Return the result of a packet: its contents, as serial.stream has them, with the results of its
 -- findings.
 local function new_packet_result(self, packet, contents)
   local results, findings = {}, contents.findings
@@ -236,33 +216,14 @@ local function new_packet_result(self, packet, contents)
 end
 
 --- Add the next packet of the capture.
--- packet   see host.serial
+-- packet   see host.stream
 -- returns  { results = list of a result for each frame, and for each stretch of bytes of no frame;
---          pending, is_held, missing, leads_to = see serial.streams; is_unfinished = on a revisit:
+--          pending, is_held, missing, leads_to = see serial.stream; is_unfinished = on a revisit:
 --          true if the capture ends before the frame that the pending bytes begin }; false for a
 --          datagram of others in a conversation that was found by content
 function Reading:add_packet(packet)
   local contents = self.streams:add(packet, not packet.is_only_pass)
   return not contents.is_others and new_packet_result(self, packet, contents)
-end
-
---- Return whether a packet of an unknown conversation is YAPP, alone or with those before it, which
--- are added then.
--- packet   see host.serial
--- returns  that, whether some came before it, and whether bytes before them were given up
-function Reading:try_packet(packet)
-  local line = packet.line
-  if self.found[line.trial_key] then return false end -- add_packet has left it to others
-  local earlier = self.streams:try_packet(packet, self:is_yapp(packet.bytes))
-  if not earlier then return false end
-  self.found[line.trial_key] = true
-  for _, one in ipairs(earlier) do self:add_packet(one) end
-  local others = line.is_ip and self.streams:end_trial(line.opposite) or {}
-  for _, one in ipairs(others) do
-    one.is_found = true
-    self:add_packet(one)
-  end
-  return true, earlier[1] ~= nil, self.streams:has_failed(packet.stream)
 end
 
 --- Return the result of Reading:add_packet; nil for a packet that was not added.

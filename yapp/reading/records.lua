@@ -1,7 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The records that go into the reading of a capture and come out of it.  Pure Lua.  Each has one
--- constructor, which names every field.  host.serial has that of a packet, can.reassembly and
--- serial.transfers those of transfers.
+-- constructor, which names every field.  host.stream has that of a packet, can.reassembly and
+-- serial.stream those of transfers.
 
 local M = {}
 

@@ -9,12 +9,10 @@
 
 local M = {}
 
-local byte, find, floor, sub = string.byte, string.find, math.floor, string.sub
+local byte, floor, sub = string.byte, math.floor, string.sub
 
-local CONTROL, BULK = 2, 3 -- transfers
+local BULK = 3 -- a transfer
 local SUBMIT, COMPLETE = byte("S"), byte("C") -- events of usbmon
-local DEVICE, CONFIGURATION, ENDPOINT = 1, 2, 5 -- descriptors
-local FTDI = 0x0403 -- vendor
 local STATUS = 2 -- bytes
 local FULL_SPEED, HIGH_SPEED = 64, 512 -- the largest packet of a bulk endpoint
 
@@ -67,26 +65,6 @@ function HEADERS.usbpcap(bytes)
   }
 end
 
--- Packets of others -------------------------------------------------------------------------------
-
-local Y, P = byte("YP", 1, 2)
-local TRANSFER = { usbmon = 10, usbmon_mapped = 10, usbpcap = 23 } -- index in the header
-local DATA = { usbmon = 48, usbmon_mapped = 64 } -- offset; usbpcap has it in its first byte
-
---- Return whether a packet need not be read while no line with YAPP is known: no frame begins in
--- its data, and it describes no device.  Most packets of others are so, and the test is quick.
--- kind, bytes  as of Usb:read_packet
-function M.is_of_others(kind, bytes)
-  local transfer = byte(bytes, TRANSFER[kind])
-  if transfer ~= BULK then return transfer ~= CONTROL end
-  if find(bytes, "YP", 1, true) or byte(bytes, -1) == Y then return false end
-  -- A status may stand between the first two bytes of a frame.
-  for index = (DATA[kind] or byte(bytes)) + FULL_SPEED, #bytes, FULL_SPEED do
-    if byte(bytes, index) == Y and byte(bytes, index + STATUS + 1) == P then return false end
-  end
-  return true
-end
-
 -- Devices -----------------------------------------------------------------------------------------
 
 local Usb = {}
@@ -99,23 +77,6 @@ function M.new()
   }, Usb)
 end
 
--- Read the description of a device; return nil.
-local function read_descriptors(device, data)
-  local offset = 0
-  while offset + 2 <= #data do
-    local length, kind = byte(data, offset + 1, offset + 2)
-    if length < 2 or offset + length > #data then return end
-    if kind == DEVICE and length == 18 then
-      device.vendor, device.sizes = u16(data, offset + 8), {}
-    elseif kind == ENDPOINT and length >= 7 then
-      device.sizes[byte(data, offset + 3)] = u16(data, offset + 4) % 0x800
-    elseif offset == 0 and kind ~= CONFIGURATION then
-      return
-    end
-    offset = offset + length
-  end
-end
-
 -- Return the size of FTDI's packets, by the status in front of the first one; nil for no status.
 local function size_by_status(data)
   local modem, line = byte(data, 1, STATUS)
@@ -123,13 +84,12 @@ local function size_by_status(data)
   return modem % 16 == 1 and FULL_SPEED or modem % 16 == 2 and HIGH_SPEED or nil
 end
 
--- Return the size of the packets with a status in front, nil if the data is as on the line.  If the
--- capture does not have the device's descriptors, all that it sends must begin with a status.
+-- Return the size of the packets with a status in front, nil if the data is as on the line.  All
+-- that an adapter with a status sends begins with one.
 local function status_size(device, endpoint, data)
-  if endpoint < 0x80 or device.vendor and device.vendor ~= FTDI then return nil end
+  if endpoint < 0x80 then return nil end
   local size = size_by_status(data)
-  if device.vendor then return device.sizes[endpoint] or size or FULL_SPEED end
-  device.has_status = device.has_status ~= false and size ~= nil
+  device.has_status = device.has_status and size ~= nil
   return device.has_status and size or nil
 end
 
@@ -147,7 +107,8 @@ local function device_of(self, header)
   local number = header.bus * 0x10000 + header.device
   local device = self.devices[number]
   if not device then
-    device = { name = ("usb%d.%d"):format(header.bus, header.device), sizes = {}, lines = {} }
+    local name = ("usb%d.%d"):format(header.bus, header.device)
+    device = { name = name, has_status = true, lines = {} }
     self.devices[number] = device
   end
   return device
@@ -158,9 +119,7 @@ local function line_of(device, endpoint)
   local line = device.lines[endpoint]
   if not line then
     local name = ("%s.%d"):format(device.name, endpoint % 0x80)
-    local rx, tx = name .. "#rx", name .. "#tx"
-    local is_in = endpoint >= 0x80
-    line = { name = is_in and rx or tx, opposite = is_in and tx or rx, device = device.name }
+    line = { name = name .. (endpoint >= 0x80 and "#rx" or "#tx"), device = device.name }
     device.lines[endpoint] = line
   end
   return line
@@ -172,7 +131,6 @@ end
 -- returns  nil if it has no bytes of a line, else {
 --   line       {
 --     name      usb1.6.1#rx, of endpoint 1; rx is from the adapter to the host
---     opposite  name of the other direction of its endpoint
 --     device    name of the adapter: usb1.6, of bus 1 and address 6 }
 --   bytes      of the line
 --   offset     of its data in the packet
@@ -180,11 +138,9 @@ end
 --   truncated  true if the packet had more }
 function Usb:read_packet(kind, bytes)
   local header = HEADERS[kind](bytes)
-  local transfer = header and header.transfer
-  if transfer ~= BULK and transfer ~= CONTROL then return nil end
-  local device, data = device_of(self, header), sub(bytes, header.offset + 1)
-  if transfer == CONTROL then return read_descriptors(device, data) end
-  if data == "" then return nil end
+  local data = header and header.transfer == BULK and sub(bytes, header.offset + 1)
+  if not data or data == "" then return nil end
+  local device = device_of(self, header)
   local size, length = status_size(device, header.endpoint, data), #data
   return {
     line = line_of(device, header.endpoint),

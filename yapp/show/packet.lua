@@ -9,7 +9,6 @@ local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
-local sub = string.sub
 local add, add_le = show_fields.add, show_fields.add_le
 local append_text, set_generated = show_fields.append_text, show_fields.set_generated
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
@@ -103,10 +102,9 @@ local function quote(bytes)
 end
 
 -- Show skipped bytes; return their text for the Info column.
-local function show_skipped(self, result, packet, tvb)
-  local builder, length, finding, item = self.builder, result.length, result.transfer, self.tree
-  local offset = finding.offset or 0
-  local text = quote(finding.bytes or sub(packet.bytes, offset + 1, offset + length))
+local function show_skipped(self, result, tvb)
+  local builder, transfer, item = self.builder, result.transfer, self.tree
+  local offset, length, text = transfer.offset, transfer.length, quote(transfer.payload)
   local size = builder.bytes_text(length)
   if self.wants.tree then
     item = builder:add_item(item, tvb(offset, length), size .. " skipped")
@@ -142,11 +140,11 @@ end
 -- Packets -----------------------------------------------------------------------------------------
 
 -- Show a result; return its text for the Info column.
-local function show_result(self, result, packet, tvb)
+local function show_result(self, result, tvb)
   local bytes = result.transfer.bytes
   if bytes and self.wants.tree then tvb = ByteArray.new(bytes, true):tvb("Reassembled YAPP") end
   if result.message then return show_message(self, result, tvb) end
-  return show_skipped(self, result, packet, tvb)
+  return show_skipped(self, result, tvb)
 end
 
 -- Add the expert item of a truncated packet, unless one of its frames has it.
@@ -173,7 +171,7 @@ local function find_decoded(results)
 end
 
 --- Show the contents of a packet.
--- packet    see host.serial
+-- packet    see host.stream
 -- contents  of Reading:add_packet
 -- wants     of Tree:wants
 -- tvb       where its bytes are, if a tree is wanted
@@ -185,7 +183,7 @@ function PacketView:show(packet, contents, wants, tvb, pinfo, tree)
   end
   for i = 1, #results do
     local result = results[i]
-    local text = show_result(self, result, packet, tvb)
+    local text = show_result(self, result, tvb)
     source = source or result.message and result.frame.source.text
     if i <= MAX_IN_INFO then texts[i] = text end
   end

@@ -270,7 +270,7 @@ function Events:add(event)
   if kind == "skipped" then return add_skipped(self, state, event) end
   if kind == "undissected" then return add_undissected(self, state, event) end
   if source.id then self.has_messages = true end
-  if source.line then self.by_source[source.line].stretch = nil end
+  if source.skipped then self.by_source[source.skipped].stretch = nil end
   if kind == "incomplete" then return add_loss(self, state, event) end
   state.orphan_seq = nil
   if kind == "message" then return add_message(self, state, event) end

@@ -142,7 +142,10 @@ end
 local function list_undecoded(reason, capture)
   if not (capture.certain and capture.certain[1]) then return {} end
   if reason then return { "the capture has YAPP that was not decoded" } end
-  return { "YAPP in other packets was not decoded: try " .. table.concat(capture.certain, " ") }
+  local text = "%s in this file %s not decoded; try %s"
+  local headers, options = capture.undecoded, table.concat(capture.certain, " ")
+  local count = headers > 0 and output.count(headers, "YAPP header") or "YAPP headers"
+  return { text:format(count, headers == 1 and "was" or "were", options) }
 end
 
 -- Return why times of packets mean nothing; nil if they mean something.
@@ -179,6 +182,7 @@ end
 --   drops        of capture.capture
 --   options      list of tshark's options that may decode other packets, or nil
 --   certain      those of them that certainly decode YAPP
+--   undecoded    how many headers of YAPP these decode
 --   notes        list of texts to say besides, or nil
 --   lacks_times  true if packets have no time stamps
 --   extended     number of extended CAN frames that were not dissected; can = of all CAN frames

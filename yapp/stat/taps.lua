@@ -39,8 +39,7 @@ Stat.__index = Stat
 --   reading    a reading.reading, frames = a host.can, headers = its host.header
 --   find_options  function() -> list of tshark's options that may decode other packets, and
 --              those of them that certainly decode YAPP
---   notes      function() -> list of texts to say of streams
---   watch      function(path), called when statistics begin; path of tshark's file or nil
+--   watch      function(), called when statistics begin
 --   unwatch    function(), called in Wireshark when one has ended, and when packets have come
 --   counted    function(f) -> f, whose calls are counted
 --   calls      { begun, ended = numbers }: of these calls since the capture was opened }
@@ -121,7 +120,7 @@ local function open(self)
   self.current, self.taps = run_of.new(self.settings, hint_of(self.command)), {}
   self.reading:listen(self.current)
   self.headers:open()
-  self.watch(self.command.r or self.command["read-file"])
+  self.watch()
   tap_packets(self)
 end
 
@@ -149,14 +148,14 @@ local function finish(self)
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
   local reading, buses, headers = self.reading, self.buses, self.headers
   local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
-  local options, certain = self.find_options()
+  local options, certain, undecoded = self.find_options()
   return self.current:finish {
     results = reading:finish(MAY_GO_ON),
     drops = joined(buses:drops(), reading:drops()),
     lacks_times = not buses:has_times(),
     options = options,
     certain = certain,
-    notes = self.notes(),
+    undecoded = undecoded,
     extended = headers.extended,
     can = headers.can,
     problems = joined({ failed }, { unread }, { reloaded }),

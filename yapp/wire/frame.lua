@@ -45,7 +45,7 @@ end
 
 --- Return whether the bytes that came of the header at a "YP" are as the document has them.
 -- bytes, from  as for M.parse
-function M.may_be_plausible(bytes, from)
+function M.may_be_header(bytes, from)
   local id1, id2, id3, _, _, rest0, rest1 = byte(bytes, from + 5, from + 11)
   return (id1 or 0) <= 7 and (id2 or 0) + (id3 or 0) + (rest0 or 0) + (rest1 or 0) == 0
 end
@@ -53,12 +53,25 @@ end
 --- Return whether the header at a "YP" is as the document has it, up to its ID.
 -- bytes, from  as for M.parse
 function M.has_id(bytes, from)
-  return M.may_be_plausible(bytes:sub(from, from + 7), 1)
+  return M.may_be_header(bytes:sub(from, from + 7), 1)
 end
 
 --- Return the index of the next "YP" from a 1-based index on; nil without one.
 function M.find(bytes, from)
   return bytes:find("YP", from, true)
+end
+
+--- Return the index of the next header from a 1-based index on that is as the document has it; nil
+-- without one.  Zeros are none: Command, the message with the ID 0, has a size.
+-- takes_cut  true to take one, too, that the bytes cut behind its ID
+function M.find_header(bytes, from, takes_cut)
+  local index = M.find(bytes, from)
+  while index do
+    local id, size = M.parse(bytes, index)
+    local is_cut = takes_cut and not id and #bytes >= index + 7
+    if (is_cut or id and id + size > 0) and M.may_be_header(bytes, index) then return index end
+    index = M.find(bytes, index + 1)
+  end
 end
 
 return M

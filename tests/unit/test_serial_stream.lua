@@ -6,15 +6,14 @@ local lu = require("luaunit")
 local framer = require("yapp.serial.framer")
 local generator = require("stream_generator")
 local levels = require("levels")
-local streams = require("yapp.serial.streams")
+local streams = require("yapp.serial.stream")
 
 local A, B = generator.frame(5, "message A"), generator.frame(6, "B")
 local BAD = generator.frame(7, "bad"):sub(1, -2) .. "\255"
 
 local function unknown() return nil end
-local function new_framer() return framer.new(unknown) end
-local function can_judge(time) return time ~= nil end -- most packets here have none
-local function new() return streams.new(new_framer, can_judge) end
+local function new_framer(line) return framer.new(unknown, { may_be_telnet = line and line.is_tcp }) end
+local function new() return streams.new(new_framer) end
 
 -- "good 5 @0", "bad 7 in 1,2", "skipped 4 @25", "incomplete 5 @0 -9"
 local function in_words(contents, bytes)
@@ -37,14 +36,24 @@ local function in_words(contents, bytes)
 end
 
 -- A row as a packet: key, bytes, what it holds, what it holds when all have come (the same if left out), other fields.
+local lines = {} -- by their fields, which rows have, too
+
+local function line_of(packet)
+  local key = ("%s %s %s %s %s"):format(packet.stream, packet.is_datagram, packet.is_complete, packet.is_tcp,
+    packet.is_found)
+  lines[key] = lines[key] or { bus = packet.bus, is_datagram = packet.is_datagram, is_complete = packet.is_complete,
+    is_tcp = packet.is_tcp, conversation = { is_found = packet.is_found } }
+  return lines[key]
+end
+
 local function packet_of(row, other)
-  local packet = { key = row[1], number = row[1], bytes = row[2], length = #row[2], epoch = 0, stream = "", tag = 0 }
-  packet.line = packet -- it has the fields of its line, too
+  local packet = { key = row[1], number = row[1], bytes = row[2], length = #row[2], epoch = 0, stream = "" }
   for _, fields in ipairs { other or {}, row } do
     for name, value in pairs(fields) do
       if type(name) == "string" then packet[name] = value end
     end
   end
+  packet.line = packet.line or line_of(packet)
   return packet
 end
 
@@ -74,69 +83,6 @@ end
 
 local T = {}
 
--- Packets that cut frames, recorded twice: at once, or the copies a little later.  Those with the header of an ID prove
--- it; the one behind is expected once more.
-function T.test_a_byte_stream_that_was_recorded_twice()
-  local head, tail, other = A:sub(1, 14), A:sub(15), B
-  local one, two = head, tail .. other:sub(1, 9)
-  local three = other:sub(10)
-  for order, expected in pairs {
-    [{ 1, 1, 2, 2, 3, 3 }] = { "14 wait for 11", "14 wait for 11", "good 5 in 1,3, 9 wait", "good 5 in 2,4, 9 wait",
-      "good 6 in 3,5", "good 6 in 4,6" },
-    [{ 1, 2, 1, 2, 3, 3 }] = { "14 wait for 11", "good 5 in 1,2, 9 wait", "14 wait for 11", "good 5 in 3,4, 9 wait",
-      "good 6 in 2,5", "good 6 in 4,6" },
-    [{ 1, 1, 1, 2, 2, 2, 3 }] = { "14 wait for 11", "14 wait for 11", "14 wait for 11",
-      "good 5 in 1,4, 9 wait", "good 5 in 2,5, 9 wait", "good 5 in 3,6, 9 wait", "good 6 in 4,7" },
-  } do
-    local self = new()
-    for i, number in ipairs(order) do
-      local bytes = ({ one, two, three })[number]
-      local packet = packet_of({ i, bytes, is_datagram = true, time = i * 0.003 })
-      lu.assertEquals(in_words(self:add(packet, true), bytes), expected[i], #order .. ": " .. i)
-      lu.assertEquals(in_words(self:find(packet), bytes):match("^good.-%d,%d"), expected[i]:match("^good.-%d,%d"))
-    end
-    for _, open in ipairs(self:unfinished()) do lu.assertEquals(open.findings, {}) end
-  end
-end
-
--- Of a part that was recorded twice, only whole frames count; what it lacks is no loss.
-function T.test_a_part_of_a_byte_stream_that_was_recorded_twice()
-  local self, text = new(), A .. B .. A .. B
-  local rows = { text:sub(1, 20), text:sub(1, 20), text:sub(21, 60), text:sub(61, 75), text:sub(76) }
-  local good, others = 0, 0
-  for i, bytes in ipairs(rows) do
-    local packet = packet_of({ i, bytes, is_datagram = true, time = i * 0.001 })
-    for _, finding in ipairs(self:add(packet, true).findings) do
-      if finding.status == "good" then good = good + 1 else others = others + 1 end
-    end
-  end
-  lu.assertEquals({ good, others }, { 4, 0 })
-end
-
--- Equal bytes are no copy where nothing proves it: idle controllers send the same, and a controller does again after
--- 20 ms.
-function T.test_equal_packets_that_are_no_copies()
-  local function goods(cuts, times, is_tcp)
-    local self, count, at = new(), 0, 1
-    for i, bytes in ipairs(cuts) do
-      local packet = packet_of({ i, bytes, is_datagram = not is_tcp, is_tcp = is_tcp, time = times[i] })
-      if is_tcp then packet.seq, at = at, at + #bytes end
-      for _, finding in ipairs(self:add(packet, true).findings) do
-        if finding.status == "good" then count = count + 1 end
-      end
-    end
-    return count
-  end
-  local idle = ("\1\2\3\4"):rep(5)
-  local one, two = generator.frame(5, idle), generator.frame(6, idle)
-  local cuts = { one:sub(1, 12), one:sub(13, 22), one:sub(23, 32), one:sub(33),
-    two:sub(1, 12), two:sub(13, 22), two:sub(23, 32), two:sub(33) }
-  lu.assertEquals(goods(cuts, { 0, 0.001, 0.002, 0.003, 0.004, 0.005, 0.006, 0.007 }), 2)
-  local again = { A:sub(1, 14), A:sub(15), A:sub(1, 14), A:sub(15) }
-  lu.assertEquals(goods(again, { 0, 0.001, 0.02, 0.021 }), 2)
-  lu.assertEquals(goods(again, { 0, 0.001, 0.002, 0.003 }, true), 2) -- TCP has sequence numbers
-end
-
 function T.test_frames_and_text_in_a_packet()
   holds {
     { 1, A, "good 5 @0" },
@@ -160,16 +106,6 @@ end
 
 function T.test_skipped_bytes_that_came_before()
   holds { { 1, "textY", "skipped 4 @0, 1 wait" }, { 2, "more", "skipped 5 before" } }
-end
-
--- A bad frame waits for an open candidate that overlaps it: all packets lead to the one that decides.
-function T.test_a_bad_frame_that_had_to_wait()
-  local claim = generator.header(5, 5000)
-  holds {
-    { 1, claim .. BAD, "31 wait for 4985", "31 wait for 4985, to 3" },
-    { 2, ("x"):rep(30), "30 wait for 4955" },
-    { 3, A .. "rest", "skipped 12 before, bad 7 in 1, skipped 30 before, good 5 @0, skipped 4 @25" },
-  }
 end
 
 -- A good frame waits for an open candidate that it is inside of.
@@ -291,92 +227,7 @@ function T.test_datagrams_of_others()
   lu.assertFalse(is_others(5, A:sub(1, 9), "9 wait"))
   lu.assertFalse(is_others(6, A:sub(10, 12), "3 wait for 13"))
   lu.assertFalse(is_others(7, A:sub(13), "good 5 in 5,6,7"))
-  lu.assertFalse(is_others(8, "textY", "skipped 4 @0, 1 wait"))
-  lu.assertFalse(is_others(9, A:sub(2), "good 5 in 8,9"))
   lu.assertTrue(is_others(10, "text", "skipped 4 @0"))
-end
-
--- Whatever the size of the packets, a conversation is known when its first frame or header has come.
-function T.test_a_conversation_on_trial()
-  local known = { [5] = 9 }
-  local function new_trial()
-    return streams.new(function() return framer.new(function(id) return known[id] end) end, can_judge)
-  end
-  for _, length in ipairs { 1, 3, 8, 11, 12, 20 } do
-    for _, frame in ipairs { A, B } do -- B is proved by its CRC alone
-      local self, found, shown = new_trial(), nil, nil
-      for at = 1, 3 * #frame, length do
-        local packet = packet_of { at, (frame .. frame .. frame):sub(at, at + length - 1) }
-        local earlier = not found and self:try_packet(packet)
-        found = found or earlier and at
-        for _, one in ipairs(earlier or {}) do self:add(one, true) end
-        local contents = found and self:add(packet, true)
-        shown = shown or contents and contents.findings[1] and in_words(contents, packet.bytes):match("^%a+ %d")
-      end
-      local needed = frame == A and 12 or #frame
-      lu.assertEquals(found, needed - (needed - 1) % length, length)
-      lu.assertEquals(shown, frame == A and "good 5" or "good 6", length)
-      lu.assertNotNil(self:find(packet_of { 1, "" }).leads_to, length)
-    end
-  end
-end
-
--- A packet that proves itself may end what came before: then that is no packet of others.
-function T.test_a_trial_that_a_whole_frame_ends()
-  for bytes, is_of_others in pairs { [B:sub(8) .. A] = false, [A] = true } do
-    local self = new()
-    lu.assertNil(self:try_packet(packet_of { 1, B:sub(1, 7), is_datagram = true }))
-    local earlier = self:try_packet(packet_of { 2, bytes, is_datagram = true }, true)
-    lu.assertEquals(#earlier, 1)
-    lu.assertEquals(earlier[1].is_found, is_of_others)
-    lu.assertEquals(self.trial_count, 0)
-  end
-end
-
--- TCP segments out of order end the trial of what may have been YAPP, whether or not it is found
--- later.  Bytes that no header began are of others.
-function T.test_a_trial_that_fails()
-  local function has_failed(is_tcp, ...)
-    local self = new()
-    for i, bytes in ipairs { ... } do
-      self:try_packet(packet_of { i, bytes, is_tcp = is_tcp, is_datagram = not is_tcp })
-    end
-    return self:has_failed("")
-  end
-  local head, rest = A:sub(1, 5), A:sub(6)
-  lu.assertTrue(has_failed(true, head, A:sub(9), A:sub(6, 8)))
-  lu.assertTrue(has_failed(true, head, ("text"):rep(5), A))
-  lu.assertTrue(has_failed(true, "Y", "x", "P"))
-  lu.assertFalse(has_failed(false, head, ("text"):rep(5), A))
-  lu.assertFalse(has_failed(true, head, rest))
-  lu.assertFalse(has_failed(true, "textY", "text", "other YP text", A))
-  local self = new()
-  for i = 1, 65 do self:try_packet(packet_of { i, head, stream = "a" .. i, is_tcp = true }) end
-  lu.assertTrue(self:has_failed("a1")) -- no more than 64 are on trial
-  lu.assertFalse(self:has_failed("a65"))
-end
-
-function T.test_lines_that_have_trials()
-  local self = new()
-  local function has_trials() return { self:may_go_on(1), self:may_go_on(2) } end
-  lu.assertEquals(has_trials(), { false, false })
-  for _, stream in ipairs { "a", "b" } do self:try_packet(packet_of { 1, B:sub(1, 7), stream = stream, tag = 1 }) end
-  lu.assertEquals(has_trials(), { true, false })
-  self:end_trial("a")
-  lu.assertEquals(has_trials(), { true, false })
-  self:end_trial("b")
-  lu.assertEquals(has_trials(), { false, false })
-end
-
-function T.test_a_trial_ends()
-  local self = new()
-  for i = 1, 1000 do lu.assertNil(self:try_packet(packet_of { i, "textY", stream = "a" .. i })) end
-  lu.assertTrue(self.trial_count <= 64)
-  local claim = generator.header(5, 60000) .. ("x"):rep(100)
-  for i = 1, 200 do lu.assertNil(self:try_packet(packet_of { i, claim, stream = "b" })) end
-  lu.assertTrue(self.trial_count <= 65)
-  lu.assertTrue(not self.trials.b or #self.trials.b.packets < 60)
-  lu.assertEquals(self:unfinished(), {})
 end
 
 -- A serial server in telnet mode; the first frame proves it.
@@ -385,8 +236,8 @@ function T.test_telnet_in_tcp()
   local twice = frame:gsub("\255", "\255\255")
   holds({
     { 1, twice, "good 5 before" },
-    { 2, twice:sub(1, 14), "14 wait for 6", "14 wait for 6, to 3" },
-    { 3, twice:sub(15) .. A, "good 5 in 2,3, good 5 @" .. #twice - 14 },
+    { 2, twice:sub(1, 14), "13 wait for 7", "13 wait for 7, to 3" },
+    { 3, twice:sub(15) .. A, "good 5 in 2,3, good 5 before" },
   }, { is_tcp = true })
 end
 
@@ -410,12 +261,6 @@ function T.test_a_key_that_comes_again()
   find(self, { { 1, B, "good 6 @0" }, { 2, A, "good 5 @0" }, { 3, A:sub(10), "good 5 in 3,3" } })
 end
 
-function T.test_what_nobody_gave_is_not_there()
-  local self = new()
-  take(self, { { 2, A, "good 5 @0" } })
-  find(self, { { 1, A, "nothing" }, { 2, A, "good 5 @0" } })
-end
-
 -- Of a packet that is never asked for again nothing is kept; its stream goes on.
 function T.test_packets_that_are_not_stored()
   local self = new()
@@ -432,22 +277,18 @@ local MESSAGE = {}
 for id = 1, 9 do MESSAGE[id] = generator.frame(id, "x") end
 local ALL = table.concat(MESSAGE)
 
--- A row { key, first byte, last byte, says } of ALL as a segment; or { acknowledges =, is_syn =, is_sent = }.
+-- A row { key, first byte, last byte, says } of ALL as a segment; or { is_syn = true }, a new connection.
+local LINE = { is_tcp = true, bus = "eth0", conversation = {} }
 local function segments(rows, first_seq)
   local self = new()
   for i, row in ipairs(rows) do
-    if row[1] then
-      local bytes = ALL:sub(row[2], row[3])
-      local epoch = 1000 + (row.time or row[1] / 100)
-      local packet = packet_of({ row[1], bytes, seq = (first_seq + row[2]) % 0x100000000, epoch = epoch,
-        bus = "eth0" })
-      lu.assertEquals(in_words(self:add(packet, true), bytes), row[4], "packet " .. i)
+    if row.is_syn then
+      self:begin_connection(LINE)
     else
-      local ack = row.acknowledges and (first_seq + row.acknowledges) % 0x100000000
-      local header = { ack = ack, is_syn = row.is_syn, seq = (first_seq + (row.is_sent or 1)) % 0x100000000, length = 0,
-        number = i, epoch = 1000 + i / 100 }
-      local is_opposite = ack and not row.is_sent
-      self:add_header(is_opposite and "other" or "", is_opposite and "" or "other", header)
+      local bytes = ALL:sub(row[2], row[3])
+      local packet = packet_of({ row[1], bytes, seq = (first_seq + row[2]) % 0x100000000, epoch = 1000 + row[1] / 100,
+        is_end = row.is_end, line = LINE })
+      lu.assertEquals(in_words(self:add(packet, true), bytes), row[4], "packet " .. i)
     end
   end
   return self
@@ -463,50 +304,27 @@ local function drops(self)
 end
 
 -- Each: its segments, and the losses.  Messages end at 17, 34, 51, 68 ...
-local FIRST_GAP = "frame 2 at 1000.02 on eth0, 1"
+local GAP = "frame 2 at 1000.02 on eth0, 1"
 local CONNECTIONS = {
   { { { 1, 1, 34, "good 1 @0, good 2 @17" }, { 2, 1, 34, "" }, { 3, 35, 51, "good 3 @0" } }, "" },
   { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 10, 40, "good 2 in 1,2, 6 wait" }, { 3, 12, 51, "good 3 in 2,3" } }, "" },
-  { { { 1, 1, 68, "good 1 @0, good 2 @17, good 3 @34, good 4 @51" }, { 2, 18, 34, "" }, { 3, 60, 85, "good 5 @9" } },
-    "" },
   -- one late
   { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 3, 18, 34, "good 2 @0, good 3 in 2" } }, "" },
   { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 40, 51, "12 held" }, { 3, 52, 68, "17 held" },
     { 4, 21, 39, "good 2 in 1,4, good 3 in 4,2, good 4 in 3" } }, "" },
-  { { { 1, 1, 17, "good 1 @0" }, { 2, 52, 68, "17 held" }, { 3, 35, 51, "17 held" },
-    { 4, 1, 34, "good 2 @17, good 3 in 3, good 4 in 2" } }, "" },
   { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 3, 35, 51, "17 held" }, -- one comes twice
     { 4, 18, 34, "good 2 @0, good 3 in 2" } }, "" },
-  -- one that never comes: acknowledged, too long ago
-  { { { 1, 1, 20, "good 1 @0, 3 wait" }, { acknowledges = 35 }, { 2, 35, 51, "skipped 3 before, good 3 @0" } },
-    FIRST_GAP },
-  { { { 1, 1, 17, "good 1 @0" }, { acknowledges = 18 }, { 2, 35, 51, "17 held" }, { 3, 52, 68, "17 held" },
-    { acknowledges = 19 }, { acknowledges = 5 }, { 4, 69, 85, "good 3 in 2, good 4 in 3, good 5 @0" } }, FIRST_GAP },
-  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 102, 52, 68, "17 held" },
-    { 103, 69, 85, "good 3 in 2, good 4 in 102, good 5 @0" }, { 104, 18, 34, "" } }, FIRST_GAP },
-  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held", time = 1 }, { 3, 52, 68, "17 held", time = 2 }, -- exactly 1 s
-    { 4, 69, 85, "good 3 in 2, good 4 in 3, good 5 @0", time = 2.01 } }, "frame 2 at 1001.00 on eth0, 1" },
-  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 3, 69, 85, "17 held" },
-    { 4, 18, 34, "good 2 @0, good 3 in 2" }, { 5, 86, 102, "17 held" }, { acknowledges = 60 },
-    { 6, 103, 119, "good 5 in 3, good 6 in 5, good 7 @0" } }, "frame 4 at 1000.04 on eth0, 1" },
-  -- the capture ends
-  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" } }, FIRST_GAP },
-  -- the last one never comes: the end of the connection shows that, or an acknowledgement
-  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { acknowledges = 35 } }, FIRST_GAP },
-  { { { 1, 1, 17, "good 1 @0" }, { acknowledges = 36 }, { is_sent = 35 }, { acknowledges = 20 } }, FIRST_GAP },
-  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 18 }, { acknowledges = 19 } }, "" },
-  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 19 } }, "" }, -- the end of the connection counts as a byte
-  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { 2, 18, 34, "good 2 @0" }, { acknowledges = 36 } }, "" },
-  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 17 }, { is_sent = 2 ^ 21 } }, "" }, -- of another connection
-  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 19 + 2 ^ 20 } }, FIRST_GAP },
-  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 20 + 2 ^ 20 } }, "" },
-  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { is_syn = true, is_sent = 50 }, { acknowledges = 52 },
-    { 3, 1, 17, "good 1 @0" }, { is_sent = 18 } }, FIRST_GAP },
+  -- late, from before the first one; and once more
+  { { { 1, 18, 34, "good 2 @0" }, { 2, 1, 17, "good 1 @0" }, { 3, 1, 17, "" }, { 4, 35, 51, "good 3 @0" } }, "" },
+  -- one that never comes: the connection ends, another one begins, the capture ends
+  { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 35, 51, "skipped 3 before, good 3 @0", is_end = true } }, GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 34, "", is_end = true } }, GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { is_syn = true }, { 3, 1, 17, "good 3 in 2, good 1 @0" } },
+    GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" } }, GAP },
   -- a connection with the same addresses and numbers
   { { { 1, 1, 34, "good 1 @0, good 2 @17" }, { is_syn = true }, { 2, 1, 17, "good 1 @0" },
     { 3, 18, 51, "good 2 @0, good 3 @17" } }, "" },
-  { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 35, 51, "17 held" }, { is_syn = true },
-    { 3, 1, 17, "skipped 3 before, good 3 in 2, good 1 @0" } }, FIRST_GAP },
 }
 
 function T.test_segments()
@@ -515,6 +333,15 @@ function T.test_segments()
       lu.assertEquals(drops(segments(row[1], first_seq)), row[2], "row " .. i)
     end
   end
+end
+
+-- A segment that 16 others have come behind is lost.
+function T.test_sixteen_segments_behind_a_lost_one()
+  local self = new()
+  take(self, { { 1, A, "good 5 @0", seq = 0 } })
+  for i = 1, 15 do take(self, { { 1 + i, "x", "1 held", seq = 100 + i } }) end
+  take(self, { { 20, B, "good 6 @0, skipped 15 before", seq = 100 - #B + 1 } })
+  lu.assertEquals(#self:drops(), 1)
 end
 
 -- Good messages behind a damaged size, and behind a gap of TCP whose segment never comes.
@@ -527,60 +354,13 @@ function T.test_what_waits_when_the_capture_ends()
   lu.assertEquals(unfinished(self), " good 3 of 3,  good 4 of 3,  good 6 of 5,  skipped 3 of 5")
 end
 
-function T.test_a_segment_far_ahead()
-  local self, payload = new(), ("x"):rep(1000)
-  local function says(key, seq, bytes, expected)
-    local packet = packet_of { key, bytes, seq = seq }
-    lu.assertEquals(in_words(self:add(packet, true), bytes), expected)
-  end
-  says(1, 1, A, "good 5 @0")
-  says(2, 1000, B, "17 held")
-  says(3, 26 + 65535, payload, "1000 held")
-  says(4, 26 + 65536, payload, "good 6 in 2, 1000 held")
-  says(5, 26, A, "")
-  says(6, 1, A, "")
-  says(7, 0x80000000, A, "skipped 1001 before, good 5 @0") -- another connection
-  says(8, 0x80000000 + 25, B, "good 6 @0")
-  lu.assertEquals(#self:drops(), 2)
-end
-
 -- What is more than 2^20 bytes from the next one, ahead or behind, is of another connection.
 function T.test_a_segment_of_another_connection()
-  for ahead, expected in pairs { [0x100000] = "good 6 @0", [0x100000 + 1] = "good 6 @0", [-0x100000] = "",
+  for ahead, expected in pairs { [0x100000] = "17 held", [0x100000 + 1] = "good 6 @0", [-0x100000] = "good 6 @0",
     [-0x100000 - 1] = "good 6 @0" } do
     local self = new()
     take(self, { { 1, A, "good 5 @0", seq = 0x80000000 }, { 2, B, expected, seq = 0x80000000 + #A + ahead } })
     lu.assertEquals(#self:drops(), ahead == 0x100000 and 1 or 0, ahead) -- bytes of this one are missing
-  end
-end
-
-function T.test_what_a_header_says_of_its_stream()
-  local self = new()
-  local header = { seq = 5, length = 0 }
-  local function follows() return self:add_header("", "other", header) and true or false end
-  lu.assertFalse(follows())
-  self:add(packet_of { 1, A }, true)
-  lu.assertFalse(follows()) -- TCP told no sequence number
-  self:add(packet_of { 2, A, seq = 5 }, true)
-  lu.assertTrue(follows())
-end
-
--- Bytes of a connection in front of ours: what came for another protocol, and a header without bytes.
-function T.test_bytes_of_others_in_front()
-  for _, row in ipairs { -- the first byte and the length of each, is_ours; which byte is next
-    { { { 1, 17 } }, 18 }, { { { 1, 0 } }, 1 }, { { { 1, 17 }, { 10, 20 } }, 30 }, { { { 1, 17 }, { 18, 1 } }, 19 },
-    { { { 1, 17 }, { 50, 5 } }, 18 }, { { { 1, 17 }, { 1, 3 } }, 18 }, { { { 1, 17 }, { 18, 5, true } }, 18 },
-  } do
-    for _, first_seq in ipairs { 0, 0x100000000 - 20 } do
-      local self = new()
-      local function seq(at) return (first_seq + at) % 0x100000000 end
-      for _, one in ipairs(row[1]) do
-        local segment = { seq = seq(one[1]), length = one[2], is_ours = one[3] or false }
-        lu.assertNil(self:add_header("", "other", segment))
-      end
-      take(self, { { 1, MESSAGE[2], "17 held", seq = seq(row[2] + 17) },
-        { 2, MESSAGE[1], "good 1 @0, good 2 in 1", seq = seq(row[2]) } })
-    end
   end
 end
 
@@ -722,12 +502,6 @@ function T.test_random_packets_in_any_order()
       holds_what_it_should(i, self:find(packet_of(rows[i])), said[i].leads_to)
     end
   end
-end
-
-function T.test_a_frame_of_two_large_packets()
-  local large = generator.frame(5, ("x"):rep(65000))
-  holds { { 300, large:sub(1, 1000), "1000 wait for 64016", "1000 wait for 64016, to 301" },
-    { 301, large:sub(1001), "good 5 in 300,301" } }
 end
 
 return T
