@@ -285,20 +285,14 @@ class Truth:
         frames = message.frames
         started = frames[0].can_id >> 14 & 15 == START
         ended = frames[-1].can_id >> 14 & 15 == END
-        if message.fate == "overrun":
-            size, received = len(message.payload), 0
-            for frame in frames:
-                received += len(frame.data) if frame.can_id >> 14 & 15 != START else 0
-                if received > size:
-                    return self.event("incomplete", sender, frame, what="overrun")
         if not started:
             self.event("incomplete", sender, frames[0], what="orphan")
         elif ended:
-            self.event("incomplete", sender, frames[-1], what="incomplete")
-        else:
-            following = next((one for one in later if one.frames), None)
+            self.event("incomplete", sender, frames[-1], what="overrun" if message.fate == "overrun" else "incomplete")
+        else:  # the next message may be of another bus; the Start behind it decides
+            following = [one for one in later if one.frames]
             if following:
-                self.event("incomplete", sender, following.frames[0], what="incomplete")
+                self.event("incomplete", sender, following[1].frames[0] if following[1:] else frames[-1], what="incomplete")
             else:
                 self.event("unfinished", sender, frames[-1])
 

@@ -223,7 +223,7 @@ local function take_fragment(self, slot, frame, id, say)
   end
   local frames, messages, is_end = open.frames, open.messages, id.ctrl == 3
   local before, newest = frames[#frames], messages[#messages]
-  if not open.has_others then newest.time = self.time end
+  newest.time = self.time
   frames[#frames + 1] = { number = frame.number, data = frame.data, reported = frame.reported,
     is_end = is_end, is_repeated = before ~= nil and before.data == frame.data }
   open.is_truncated = open.is_truncated or #frame.data < frame.reported

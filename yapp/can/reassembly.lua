@@ -6,7 +6,7 @@
 -- can.interleaved has several.  A message is reported once, by the frame that decides it.  Its
 -- record is
 --   1 .. n     frame keys of its fragments (base.frame_key)
---   slot, source; time = of its latest frame that came while it alone was open
+--   slot, source; time = of its latest frame
 --   size, crc, reserved (nil for 0)  as its Start says
 --   chunks     while it alone is open in its slot: the bytes of the fragments behind the Start, up
 --              to the first that the capture truncated; received = number of bytes on the bus;
@@ -230,7 +230,7 @@ local function add_interleaved(self, group, frame)
     return self:add_fragment(frame)
   end
   local newest = group.messages[#group.messages]
-  newest[#newest + 1] = frame.key -- as it seems
+  newest[#newest + 1], newest.time = frame.key, frame.time -- as it seems
   group:add_frame(frame.key, data, is_end)
   if is_end then
     local message = complete(self, group, frame)

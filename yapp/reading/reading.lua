@@ -245,7 +245,7 @@ end
 local function finish_frames(self, list)
   for _, open in ipairs(self.reassembly:unfinished()) do
     local transfer, of_frame = open.message, records.new_can_frame()
-    local key = transfer[transfer.chunks and #transfer or 1]
+    local key = transfer[#transfer]
     of_frame.key, of_frame.number, of_frame.time = key, number_of(key), transfer.time
     of_frame.source, of_frame.seq = transfer.source, transfer.slot % 0x100
     of_frame.can_id = can_id.fields[transfer.slot % BUS]
