@@ -218,11 +218,12 @@ local function new_frames()
     seen.frame = one
     return one
   end
-  local reading = { newest_key = -1, read_frame = function(self, frame)
+  local reading = { read = function(_, frame)
     copy(frame)
-    if frame.visited then return said.recalled end
-    self.newest_key = frame.key
     return said.result
+  end, recall = function(_, frame)
+    copy(frame)
+    return said.recalled
   end, report_undissected = function(_, frame) seen.undissected = frame end }
   local wants = { shows = false, tree = false, columns = false, state = "state", is_only_pass = "only" }
   local builder = { wanted = wants, wants = function(_, _, _, visited)

@@ -41,11 +41,12 @@ local function new_capture(with)
   types:use(catalogue_of.assign(TAURUS, {}), (sources.parse("", TAURUS)), {}, function() end)
   types:reset(with and with.several or false)
   local reading, events = reading_of.new(types, buses, function() end), {}
-  reading:reset { late = 3, catalogue = TAURUS, buses = buses }
+  local options = { late = 3, catalogue = TAURUS, buses = buses }
+  reading:reset(options)
   reading:listen { report = function(_, result)
     for _, text in ipairs(events_in_words { result }) do events[#events + 1] = text end
   end }
-  return { reading = reading, events = events, number = 0 }
+  return { reading = reading, events = events, number = 0, options = options }
 end
 
 -- A payload of a message: its bytes count up, but for Motor Data, whose flags are 0.
@@ -115,7 +116,8 @@ local function visit(capture, one, with)
     frame[name] = with[name] or false
   end
   frame.is_bus_known = with.is_bus_known ~= false
-  local result = capture.reading:read_frame(frame)
+  local result = frame.visited and capture.reading:recall(frame) or nil
+  if not frame.visited then result = capture.reading:read(frame) end
   assert_named(result)
   return result
 end
@@ -431,6 +433,15 @@ function T.test_the_end()
   capture = new_capture()
   add_all(capture, list)
   lu.assertEquals(finish(capture, false), {})
+end
+
+-- Another file begins anew, also the answer of Reading:finish.
+function T.test_the_end_of_another_file()
+  local capture = new_capture()
+  visit(capture, frames_of(MOTOR, 9, payload_of(MOTOR, 1))[1])
+  lu.assertEquals(#capture.reading:finish(false), 1)
+  capture.reading:reset(capture.options)
+  lu.assertEquals(capture.reading:finish(false), {})
 end
 
 -- A page asks for several statistics of a whole capture: what waits is no copy of itself.

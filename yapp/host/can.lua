@@ -46,6 +46,7 @@ end
 function Dissector:reset()
   -- True if the bus of a frame has to be asked for.
   self.bus_is_per_packet = self.buses.bus_is_per_packet
+  self.newest_key = 0 -- of the frames that were read: one above it is new
   self.frame = records.new_can_frame()
   self.wants = false -- of Tree:wants; the frame has those that the reading needs
 end
@@ -60,7 +61,7 @@ end
 -- is_deferred  true if it comes from a tap, where Wireshark calls every packet visited
 -- returns      see Tree:wants
 local function ask(self, frame, pinfo, tree, is_deferred)
-  local visited = frame.key <= self.reading.newest_key and not is_deferred and pinfo.visited
+  local visited = frame.key <= self.newest_key and not is_deferred and pinfo.visited
   local wants = self.builder:wants(tree, pinfo, visited)
   frame.visited = visited
   frame.is_only_pass, frame.wants_state = wants.is_only_pass, wants.state
@@ -70,7 +71,7 @@ end
 
 --- Return whether a later packet was dissected before this one, as in the second pass of two.
 function Dissector:is_second_pass(number)
-  return frame_key.number(self.reading.newest_key) > number
+  return frame_key.number(self.newest_key) > number
 end
 
 -- Return how many bytes are ours of a frame of zeros that is not dissected now: none of a remote
@@ -82,6 +83,13 @@ local function pass_over(self, frame, tvb, pinfo, id)
   if is_remote then return 0 end
   local waits = is_remote == nil and headers:remember(tvb, pinfo, true, id, frame.accepts_all)
   return waits and frame.reported or nil
+end
+
+-- Return the result of the current frame.
+local function read(self, frame)
+  if frame.visited then return self.reading:recall(frame) end
+  if frame.key > self.newest_key then self.newest_key = frame.key end
+  return self.reading:read(frame)
 end
 
 --- Dissect one frame.
@@ -96,7 +104,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
   elseif reported == 0 then
     return 0
   end
-  local frame, reading, number = self.frame, self.reading, pinfo.number
+  local frame, number = self.frame, pinfo.number
   local key = number * PACKET + offset_of(tvb)
   frame.key = key
   frame.number = number
@@ -108,12 +116,12 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
   if self.bus_is_per_packet then find_bus(self, frame, pinfo) end
   -- A frame above the newest one is new, and in tshark's first pass all frames want the same.
   local wants = self.builder.wanted
-  if key <= reading.newest_key or wants ~= self.wants then
+  if key <= self.newest_key or wants ~= self.wants then
     wants = ask(self, frame, pinfo, tree, length)
   end
   local passed = ZEROS[data] and pass_over(self, frame, tvb, pinfo, id)
   if passed then return passed end
-  local result = reading:read_frame(frame)
+  local result = read(self, frame)
   if not result then
     self.headers:remember(tvb, pinfo)
     return 0

@@ -6,7 +6,7 @@
 --                             ├─► transfer ─► reading.messages ─► result ─► listener
 --   packet ─► serial.stream ──┘              (values, history)
 --
--- On a revisit, read_frame and recall_packet return the same result.
+-- On a revisit, recall and recall_packet return the same result.
 
 local can_id = require "yapp.wire.can_id"
 local copies = require "yapp.reading.copies"
@@ -60,10 +60,7 @@ function Reading:reset(options)
   self.sources = memo(function(bus) -- [bus or false][ID] = a source
     return memo(function(id) return self.types:new_source(id, bus, self.buses:name(bus)) end)
   end)
-  self.newest_key = 0 -- of the newest frame: one above it is new
-  -- Of the current frame, used again as that is: the result of a plain fragment, and of others.
-  self.plain = records.new_result("fragment", false)
-  self.result = records.new_result("other", false)
+  self.result = records.new_result("other", false) -- of the current frame, used again as that is
   -- Streams:
   self.streams = streams.new(function(line)
     return self:new_framer { may_be_telnet = line.is_tcp }
@@ -83,55 +80,43 @@ end
 
 -- Return the result of a frame, and report it.
 -- kind ...  of can.reassembly
-local function new_frame_result(self, of_frame, kind, transfer, anomalies, index)
+local function new_frame_result(self, can_frame, kind, transfer, anomalies, index)
+  if not kind then return nil end
   local result, message, is_usual = self.result, false, true
-  of_frame.seq = of_frame.can_id.seq
+  can_frame.seq = can_frame.can_id.seq
   if kind == "last" or kind == "single" then
-    message, is_usual = self.messages:read(of_frame, transfer)
+    message, is_usual = self.messages:read(can_frame, transfer)
     if message.remarks.has_fault then reassembly.mark_fault(transfer) end
   end
   result.kind = kind
-  result.frame = of_frame
+  result.frame = can_frame
   result.transfer = transfer or false
   result.message = message
   result.anomalies = anomalies or false
   result.index = index or false
-  result.is_usual = is_usual and not anomalies and #of_frame.data == of_frame.reported
+  result.is_usual = is_usual and not anomalies and #can_frame.data == can_frame.reported
+  if kind == "fragment" and not anomalies then return result end -- no statistic counts it
   return report(self, result)
 end
 
--- Recall a frame that was added before; return as can.reassembly does.
-local function recall(self, of_frame)
-  local kind, transfer, anomalies, index = self.reassembly:recall(of_frame)
-  if transfer then of_frame.source = transfer.source end
-  return kind, transfer, anomalies, index
-end
-
---- Read a frame: add the next one of the capture; on a revisit, recall it.
--- of_frame  see reading.records
--- returns   its result; nil for a frame that is not YAPP's
-function Reading:read_frame(of_frame)
-  local fields, bus, key = of_frame.can_id, of_frame.bus, of_frame.key
-  local kind, transfer, anomalies
-  local index = false
+--- Read the next frame of the capture.
+-- can_frame  see reading.records
+-- returns    its result, which is used again for the next frame; nil for a frame that is not YAPP's
+function Reading:read(can_frame)
+  local fields, bus = can_frame.can_id, can_frame.bus
   local slot = fields.message_key
   if bus then slot = slot + bus * BUS end
-  of_frame.source, of_frame.slot = self.sources[bus][fields.id], slot
-  if of_frame.visited then
-    kind, transfer, anomalies, index = recall(self, of_frame)
-  else
-    if key > self.newest_key then self.newest_key = key end
-    kind, transfer, anomalies = self.reassembly:add(of_frame)
-  end
-  if kind == "fragment" and not anomalies then -- no statistic counts it
-    local plain = self.plain
-    plain.frame = of_frame
-    plain.transfer = transfer or false -- none of a frame that turned out to be of no message
-    plain.index = index
-    plain.is_usual = #of_frame.data == of_frame.reported
-    return plain
-  end
-  return kind and new_frame_result(self, of_frame, kind, transfer, anomalies, index)
+  can_frame.source, can_frame.slot = self.sources[bus][fields.id], slot
+  return new_frame_result(self, can_frame, self.reassembly:add(can_frame))
+end
+
+--- Recall a frame that was read before.
+-- returns  as Reading:read
+function Reading:recall(can_frame)
+  can_frame.source = self.sources[can_frame.bus][can_frame.can_id.id]
+  local kind, transfer, anomalies, index = self.reassembly:recall(can_frame)
+  if transfer then can_frame.source = transfer.source end
+  return new_frame_result(self, can_frame, kind, transfer, anomalies, index)
 end
 
 -- Return the messages that data may be, as { [CAN CTRL] = payload size }: that of a Start, or one
