@@ -17,7 +17,7 @@ import tshark
 from can_generator import END, LONG_BLOCK, START, Frame, Sent, message_crc
 from flights import block, option, pad, struct
 
-RECIPE = next(line.strip() for line in (tshark.ROOT / "docs/statistics.md").read_text().splitlines()
+RECIPE = next(line.strip() for line in (tshark.ROOT / "docs/rules.md").read_text().splitlines()
               if line.startswith("    tshark -q -r run.pcapng"))
 MOTOR, OTHER = 0x210, 0x310
 BEGIN = 1_700_000_000_000_000_000

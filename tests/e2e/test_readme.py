@@ -146,7 +146,7 @@ def test_its_filters_are_filters():
 
 
 def test_the_filters_of_the_help():
-    text = (tshark.ROOT / "yapp/stat/menu.lua").read_text()
+    text = (tshark.ROOT / "yapp/stat/windows.lua").read_text()
     filters = [part for line in re.findall(r"^.{32}((?:yapp|taurus)\..*)$", text, re.M) for part in re.split(r", or ", line)]
     assert len(filters) >= 9
     assert_are_filters(filters)

@@ -439,16 +439,15 @@ def rows_of(what):
 
 
 WHATS = [row[0] for row in rows_of("options")]
-PAGE = (tshark.ROOT / "docs/statistics.md").read_text("utf-8")
+PAGE, RULES = ((tshark.ROOT / f"docs/{name}.md").read_text("utf-8") for name in ("statistics", "rules"))
 
 
 def test_the_document_has_every_kind_of_event():
     """With its keys in JSON, and its rule; in the rule set of `check` alone those that are there."""
     keys = {name: row[1] for row in re.findall(r"^\| ((?:`\w+` ?)+)\|([^|]*)\|", PAGE.partition("| kind of `events` |")[2], re.M)
             for name in re.findall(r"\w+", row[0])}
-    gate = PAGE.partition("## The gate")[2]
-    rules = set(re.findall(r"`(\w+)=N`", re.search(r"\| rule \|.*?\n\n", gate, re.S)[0]))
-    alone = re.search(r"it judges these rules: (.*?), each 0", gate, re.S)[1]
+    rules = set(re.findall(r"`(\w+)=N`", re.search(r"\| rule \|.*?\n\n", RULES, re.S)[0]))
+    alone = re.search(r"it judges these rules: (.*?), each 0", RULES, re.S)[1]
     kinds = rows_of("kinds")
     assert {name: more.strip("` ") for name, more in keys.items() if name in [row[0] for row in kinds]} == \
         {name: more for name, more, *_, is_counted_only in kinds if not is_counted_only}
@@ -461,7 +460,7 @@ def test_the_document_has_every_kind_of_event():
 
 def test_the_document_has_every_rule_about_a_message():
     """motor.gap=S for MESSAGE.gap=S; the first words of its row are the plugin's own."""
-    rows = dict(re.findall(r"^\| `(motor\.[^`=]*)=[^`]*` \| (.*?) \|$", PAGE.partition("| rule |")[2], re.M))
+    rows = dict(re.findall(r"^\| `(motor\.[^`=]*)=[^`]*` \| (.*?) \|$", RULES.partition("| rule |")[2], re.M))
     measures = rows_of("measures")
     assert len(measures) > 4
     for _, text, help_, _ in measures:
@@ -475,7 +474,7 @@ def test_the_lists_of_rules_in_the_document():
     of_message = [name for name, text, *_ in rows_of("measures") if text.startswith(f"MESSAGE.{name}=")]
     about_time = {row[0] for what, index in (("kinds", -3), ("measures", -1)) for row in rows_of(what) if row[index] == "true"}
     assert len(of_message) > 2 and len(about_time) > 4
-    listed = [re.search(shape, PAGE, re.S)[1] for shape in (r"A field of your own may be called ([^.]*)\.", r"A rule is about time \((.*?)\)")]
+    listed = [re.search(shape, RULES, re.S)[1] for shape in (r"A field of your own may be called ([^.]*)\.", r"A rule is about time \((.*?)\)")]
     assert set(re.findall(r"`(\w+)`", listed[0])) == set(of_message)
     assert set(re.findall(r"`(\w+)`", listed[1])) == about_time
 

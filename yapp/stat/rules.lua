@@ -107,7 +107,7 @@ local function measure_spread(_, rule, check)
 end
 
 -- name     of the measure
--- text     a rule of it, as errors and docs/statistics.md name it
+-- text     a rule of it, as errors and docs/rules.md name it
 -- help     its meaning, for people
 -- measure  see above
 -- bound    the limit that a number is: "low" or "high"; is_count = true if it has no fraction
