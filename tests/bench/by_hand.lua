@@ -9,7 +9,8 @@ if ... ~= "run" then return end -- run by Wireshark, in a plugin folder
 collectgarbage("setpause", 150)
 collectgarbage("setstepmul", 1000)
 
-local top = debug.getinfo(1, "S").source:match("^@(.*)tests/bench/") or ""
+local source = debug.getinfo(1, "S").source -- the plugin is beside it, or it is in a clone
+local top = source:match("^@(.*)tests/bench/") or source:match("^@(.*/)") or ""
 package.path = top .. "?.lua;" .. package.path
 local crc, can_id = require("yapp.wire.crc"), require("yapp.wire.can_id")
 
