@@ -5,7 +5,6 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local cpu = require("cpu")
 local catalogue_of = require("yapp.message.catalogue")
-local dates_of = require("yapp.stat.dates")
 local input = require("yapp.base.input")
 local kinds_of = require("yapp.stat.kinds")
 local events_of = require("yapp.stat.events")
@@ -368,27 +367,6 @@ function T.test_csv_is_printed()
     "1700000000.500000005,2,can0,left,528,0,0," .. CELLS .. "\n")
 end
 
-function T.test_csv_before_1970()
-  lu.assertEquals(lines(run({ "csv,-,motor" }, { record(1, 0), record(2, 0.75), record(3, 2) }, { epoch = -2 })), {
-    "time,frame,bus,source,id,seq," .. COLUMNS, "-1.999999995,1,can0,left,528,0," .. CELLS, "-1.249999995,2,can0,left,528,0," .. CELLS,
-    "0.000000005,3,can0,left,528,0," .. CELLS })
-  local function text(seconds, nanoseconds)
-    local dates = dates_of.new()
-    dates:set_first(seconds, nanoseconds, 0)
-    return dates:text(0)
-  end
-  for expected, first in pairs {
-    ["-0.999999999"] = { -1, 1 },
-    ["-1.000000000"] = { -1, 0 },
-    ["-0.100000000"] = { -1, 900000000 },
-    ["-0.000000001"] = { -1, 999999999 },
-    ["0.000000001"] = { 0, 1 },
-    ["1700000000.000000005"] = { 1700000000, 5 },
-  } do
-    lu.assertEquals(text(first[1], first[2]), expected)
-  end
-end
-
 function T.test_csv_in_a_folder()
   with_folder(function(folder, with)
     local printed, code = run({ "csv," .. folder }, ROWS, with)
@@ -550,7 +528,7 @@ function T.test_check_says_where_seq_no_does_not_number_messages()
     local printed, code = run({ "check,json,missing=0" }, records)
     return code, printed:match('"rule":"missing=0".-"note":("?[^"]*"?)}')
   end
-  lu.assertEquals({ note_of(5, 5, 5) }, { 0, '"Seq No never changes: lost messages do not show"' })
+  lu.assertEquals({ note_of(5, 5, 5) }, { 0, '"Seq No never changes"' })
   lu.assertEquals({ note_of(5, 6, 7) }, { 0, "null" })
   lu.assertEquals({ note_of(5, 5, 6) }, { 0, "null" })
   lu.assertEquals({ note_of(5) }, { 0, "null" }) -- one message does not tell
@@ -663,9 +641,9 @@ function T.test_a_report_for_ci()
 <?xml version="1.0" encoding="UTF-8"?>
 <testsuite name="yapp.check" tests="4" failures="1" errors="1">
   <testcase classname="yapp.check" name="motor.count=2 can0 0x210 left"><failure message="seen 1, frame 1"/></testcase>
-  <testcase classname="yapp.check" name="crc=0 can0 0x210 left"/>
+  <testcase classname="yapp.check" name="crc=0 can0 0x210 left"></testcase>
   <testcase classname="yapp.check" name="note.count=1"><error message="note no Note came: see yapp.note_ids"/></testcase>
-  <testcase classname="yapp.check" name="unknown=0"/>
+  <testcase classname="yapp.check" name="unknown=0"></testcase>
 </testsuite>
 ]])
     local _, unwritable, texts = run({ "check,crc=0,junit=" .. folder .. "/none/x.xml" }, { record(1, 0) })
@@ -673,7 +651,7 @@ function T.test_a_report_for_ci()
     lu.assertStrContains(texts[1], "the report is not written")
     run({ "check,crc=0,x=1,junit=" .. path }, { record(1, 0) }, { problem = "own.lua was not read" })
     lu.assertStrContains(read(path), 'tests="4" failures="0" errors="2"')
-    lu.assertStrContains(read(path), '<error message="own.lua was not read"/>')
+    lu.assertStrContains(read(path), '<error message="note own.lua was not read"/>')
   end)
 end
 
@@ -751,7 +729,7 @@ function T.test_sources_that_never_came()
   lu.assertStrContains(run({ "events" }, records, with), "no message of it came")
   lu.assertEquals(verdicts("absent=1,absent=2", records, with), { "absent=1 null false 2 null", "absent=2 null true 2 null",
     "unknown=0 null true 0 null" })
-  lu.assertStrContains(run({ "check,absent=1" }, records, with), "2  right, 0x211, 1 name without a message not judged")
+  lu.assertStrContains(run({ "check,absent=1" }, records, with), "2  right, 0x211\n")
   local judged = { named = { NAMED[1], NAMED[2], NAMED[3] } }
   lu.assertStrContains(run({ "check,json,absent=2" }, records, judged), '"note":"right, 0x211"}')
   lu.assertEquals(verdicts("source=right,absent=0", records, with)[1], "absent=0 right false 1 null")

@@ -10,7 +10,6 @@ local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
-local words = output.words
 -- Verdicts; order = theirs in the text, case = the element of a report in XML.
 local FAILED = {
   order = 1,
@@ -116,17 +115,21 @@ local function reason_of(kind, group, ending, ok, is_exceeded)
   return ending.reason
 end
 
--- Add the row of a rule.
+local function add_row(self, row)
+  self.counts[row.ok] = self.counts[row.ok] + 1
+  table.insert(self.rows, row)
+end
+
+-- Add the verdict on a rule.
 -- seen ...  of a measure
-local function add_row(self, rule, group, seen, frame, note, worst)
+local function add_verdict(self, rule, group, seen, frame, note, worst)
   local shown = seen and tonumber(("%.12g"):format(seen)) -- 10, not 9.9999999999999982
   local ok = seen and shown >= rule.low and shown <= rule.high and OK or FAILED
   local is_exceeded = seen and shown > rule.high
   local reason = reason_of(rule.kind, group, self.ending, ok, is_exceeded)
   local limit = rule.text:match("=(.*)$")
   if reason or not seen then ok = UNJUDGED end
-  self.counts[ok] = self.counts[ok] + 1
-  self.rows[#self.rows + 1] = output.row(group.source or { name = rule.source }, {
+  add_row(self, output.row(group.source or { name = rule.source }, {
     ok = ok,
     rule = rule.text,
     limit = tonumber(limit) or limit,
@@ -134,7 +137,7 @@ local function add_row(self, rule, group, seen, frame, note, worst)
     frame = frame,
     note = reason or note,
     worst = worst,
-  })
+  }))
 end
 
 -- Add the rows of a rule: one for each of its sources, or one in all.
@@ -149,7 +152,7 @@ local function judge(self, rule)
   end
   if not about[1] then measure, about[1] = measure_none, self.capture end
   for _, group in ipairs(about) do
-    add_row(self, rule, group, measure(group, rule, self))
+    add_verdict(self, rule, group, measure(group, rule, self))
   end
 end
 
@@ -158,47 +161,33 @@ end
 local ENTITIES = { ["<"] = "&lt;", [">"] = "&gt;", ["&"] = "&amp;", ['"'] = "&quot;" }
 local REPORT = '<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name="yapp.check" tests="%d" ' ..
   'failures="%d" errors="%d">\n%s</testsuite>\n'
-local NAME, MESSAGE = words("rule bus id source"), words("seen worst note frame")
-local NOTE = words("note")
+local CASE = '  <testcase classname="yapp.check" name="%s">%s</testcase>\n'
 
 -- XML allows no control characters, not even as entities.
 local function escape(text)
   return (utf8.printable(text):gsub('[<>&"]', ENTITIES))
 end
 
--- shape  of the element of a verdict with a text; nil for a rule that holds and has no note
-local function case_of(name, shape, text)
-  local case = ('  <testcase classname="yapp.check" name="%s"'):format(escape(name))
-  if text == "" then return case .. "/>\n" end
-  return ("%s>%s</testcase>\n"):format(case, shape:format(escape(text)))
-end
-
--- Return the values that a row has of these keys, as people read them: "seen 1, frame 7".
-local function texts_of(row, keys, with_key, between)
-  local texts = {}
-  for _, key in ipairs(keys) do
-    local name = with_key and key .. " " or ""
-    if row[key] then
-      texts[#texts + 1] = name .. output.text(row[key])
-    end
+-- Return the element of a row.
+local function case_of(row)
+  local texts, name = {}, row.rule or row.note
+  for _, key in ipairs { "bus", "id", "source" } do
+    if row.id and row[key] then name = name .. " " .. output.text(row[key]) end
   end
-  return table.concat(texts, between)
+  for _, key in ipairs(row.ok == OK and { "note" } or { "seen", "worst", "note", "frame" }) do
+    if row[key] then texts[#texts + 1] = key .. " " .. output.text(row[key]) end
+  end
+  local text = texts[1] and row.ok.case:format(escape(table.concat(texts, ", "))) or ""
+  return CASE:format(escape(name), text)
 end
 
 -- Write it if it is asked for; return an error, nil for none.
-local function write_report(self, problems)
+local function write_report(self)
   local path, cases, counts = self.options.junit, {}, self.counts
   if not path then return nil end
-  for i, row in ipairs(self.rows) do
-    local name = row.id and texts_of(row, NAME, false, " ") or row.rule
-    local keys = row.ok == OK and NOTE or MESSAGE
-    cases[i] = case_of(name, row.ok.case, texts_of(row, keys, true, ", "))
-  end
-  for _, problem in ipairs(problems) do
-    cases[#cases + 1] = case_of(problem, UNJUDGED.case, problem)
-  end
-  local errors, all = counts[UNJUDGED] + #problems, table.concat(cases)
-  return output.save(path, REPORT:format(#cases, counts[FAILED], errors, all))
+  for i, row in ipairs(self.rows) do cases[i] = case_of(row) end
+  local all = table.concat(cases)
+  return output.save(path, REPORT:format(#cases, counts[FAILED], counts[UNJUDGED], all))
 end
 
 -- The end ---------------------------------------------------------------------------------------
@@ -206,26 +195,25 @@ end
 --- End, see stat.answer.
 -- returns  the exit code, and a text on errors other than rules, nil for none
 function Check:finish(ending, notes)
-  local options, context, rows = self.options, self.context, {}
+  local options, context = self.options, self.context
+  local counts = { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
   local problems = joined(ending.problems, options.problems)
-  self.ending, self.rows = ending, rows
-  self.counts = { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
-  for _, rule in ipairs(options.rules) do
-    judge(self, rule)
-  end
-  local problem = write_report(self, problems)
+  self.ending, self.rows, self.counts = ending, {}, counts
+  for _, rule in ipairs(options.rules) do judge(self, rule) end
+  local judged = joined(self.rows)
+  for _, text in ipairs(problems) do add_row(self, { ok = UNJUDGED, note = text }) end
+  local problem = write_report(self)
   if problem then
     problems[#problems + 1] = "the report is not written: " .. problem
+    add_row(self, { ok = UNJUDGED, note = problems[#problems] })
   end
-  local failed, unjudged = self.counts[FAILED], self.counts[UNJUDGED] + #problems
-  local verdict = failed > 0 and FAILED or unjudged > 0 and UNJUDGED or OK
-  if not options.json then
-    for _, text in ipairs(problems) do rows[#rows + 1] = { ok = UNJUDGED, note = text } end
-    output.sort(rows, function(row) return row.ok.order end)
-  end
+  local rows = options.json and judged or self.rows
+  local verdict = counts[FAILED] > 0 and FAILED or counts[UNJUDGED] > 0 and UNJUDGED or OK
+  if not options.json then output.sort(rows, function(row) return row.ok.order end) end
   output.print(context, "YAPP check: " .. verdict.title, COLUMNS, rows, notes)
   if not options.json then
-    context.out(("\n%d of %d rules failed, %d not judged\n"):format(failed, #rows, unjudged))
+    local shape = "\n%d of %d rules failed, %d not judged\n"
+    context.out(shape:format(counts[FAILED], #rows, counts[UNJUDGED]))
   end
   return verdict.code, problems[1] and "check: " .. table.concat(problems, "\ncheck: ")
 end

@@ -36,11 +36,7 @@ end
 
 --- Return a time as a number with nine digits behind the point, a text.
 function Dates:text(rel)
-  local seconds, nanoseconds = self:exact(rel)
-  if seconds < 0 and nanoseconds > 0 then -- -1 s plus 9e8 ns is -0.1 s
-    return format("-%d.%09d", -seconds - 1, 1000000000 - nanoseconds)
-  end
-  return format("%d.%09d", seconds, nanoseconds)
+  return format("%d.%09d", self:exact(rel))
 end
 
 --- Return a time as a value of a row, see stat.output; people read it in UTC, to the microsecond.

@@ -29,11 +29,7 @@ local INFINITE = math.huge
 local NO_VALUE = "no good message of it was decoded"
 local ALL_RESERVED = "all its values are reserved"
 local RANGE = "a range is A..B, A.. or ..B"
-local SAME_SEQ = {
-  value = "Seq No never changes: lost messages do not show",
-  text = "Seq No never changes: lost messages do not show",
-  short = "Seq No never changes",
-}
+local SAME_SEQ = "Seq No never changes"
 
 -- Measures ----------------------------------------------------------------------------------------
 --
@@ -208,19 +204,15 @@ end
 local of_kind = {}
 
 function of_kind.absent(_, rule, check)
-  local names, is_named, others = {}, rule.is_default, 0
+  local names, is_named = {}, rule.is_default
   for _, row in ipairs(check.context.settings.sources:list()) do
-    if M.is_of(rule, row) and row.type then
+    if row.type and M.is_of(rule, row) then
       is_named = true
       if check.absent[row] then names[#names + 1] = row.name or output.bus_and_id(row) end
-    elseif M.is_of(rule, row) then
-      others = others + 1
     end
   end
   if not is_named then return nil, nil, "no source is named with a message: see yapp.sources" end
-  local count, more = #names, output.count(others, "name") .. " without a message not judged"
-  if others > 0 then names[count + 1] = more end
-  return count, nil, table.concat(names, ", ")
+  return #names, nil, table.concat(names, ", ")
 end
 
 function of_kind.missing(group, rule, check)
