@@ -693,7 +693,7 @@ def test_rules_from_a_file(folder, home):
     assert returned == 0 and output.endswith("\n0 of 4 rules failed, 0 not judged\n")
     (folder / "rules.txt").write_text("fault=0\nmotor.rate=fast\nrules=rules.txt\n")
     returned, output, errors = z(folder, "check,rules=rules.txt")
-    assert returned == 21 and 'rules.txt:2: motor.rate=fast: "fast" is not a rate' in errors
+    assert returned == 21 and 'rules.txt:2: motor.rate=fast: "fast" is not a number for rate' in errors
     assert "rules.txt:3: rules=rules.txt: a file of rules names no other" in errors
     returned, _, errors = z(folder, "check,rules=none.txt")
     assert returned == 21 and "rules=none.txt: none.txt: No such file" in errors

@@ -1532,11 +1532,11 @@ function T.test_wrong_options_are_named()
     ["csv,-,motor,json"] = "csv: csv,- prints a table; json is for csv,FOLDER",
     ["csv,-,moter"] = "moter: no such message; known messages: motor, note, health",
     ["csv,x,over"] = "over: the options of csv are replace, all, json, filter=EXPRESSION",
-    ["check,crc=-1"] = 'crc=-1: "-1" is not a number of messages',
-    ["check,crc=1.5"] = 'crc=1.5: "1.5" is not a number of messages',
-    ["check,motor.rate=fast"] = 'motor.rate=fast: "fast" is not a rate',
-    ["check,motor.rate=nan"] = 'motor.rate=nan: "nan" is not a rate',
-    ["check,motor.gap=-1"] = 'motor.gap=-1: "-1" is not a gap',
+    ["check,crc=-1"] = 'crc=-1: "-1" is not a number for crc',
+    ["check,crc=1.5"] = 'crc=1.5: "1.5" is not a number for crc',
+    ["check,motor.rate=fast"] = 'motor.rate=fast: "fast" is not a number for rate',
+    ["check,motor.rate=nan"] = 'motor.rate=nan: "nan" is not a number for rate',
+    ["check,motor.gap=-1"] = 'motor.gap=-1: "-1" is not a number for gap',
     ["check,motr.rate=1"] = 'motr.rate=1: there is no message "motr", but motor, note, health',
     ["check,motor.volt=1..2"] = 'motor.volt=1..2: motor has no field "volt", but volts, fault_flags, mode, clock',
     ["check,motor.volts=3"] = "motor.volts=3: a range is A..B, A.. or ..B",
@@ -1547,14 +1547,14 @@ function T.test_wrong_options_are_named()
     ["check,fault=0,source=x"] = "source=x: no rule follows it: it is for those behind it",
     ["check,fault=0,source=x,source=y,crc=0"] = "source=y: no rule follows source=x: it is for those behind it",
     ["check,source=x,motor.volts.spread=1"] = "motor.volts.spread=1: a spread is of all sources, not of one",
-    ["check,motor.volts.spread=-1"] = 'motor.volts.spread=-1: "-1" is not a spread',
+    ["check,motor.volts.spread=-1"] = 'motor.volts.spread=-1: "-1" is not a number for spread',
     ["check,motor.volt.spread=1"] = 'motor.volt.spread=1: motor has no field "volt", but volts, fault_flags, mode, clock',
     ["check,motor.volts.ratio=1"] = "motor.volts.ratio=1: a range is A..B, A.. or ..B",
     ["check,source="] = "source=: it is empty",
     ["check,junit="] = "junit=: it is empty",
     ["check,rules="] = "rules=: it is empty",
     ["check,rules=none.txt"] = "rules=none.txt: none.txt: No such file or directory",
-    ["check,crc=1 0"] = 'crc=1 0: "1 0" is not a number of messages',
+    ["check,crc=1 0"] = 'crc=1 0: "1 0" is not a number for crc',
   }
   for text, problem in pairs(expected) do
     lu.assertEquals(options_of.parse("yapp," .. text, CATALOGUE).problems[1], problem)
@@ -1596,9 +1596,9 @@ function T.test_a_file_of_rules()
     lu.assertStrContains((read_file("source=left\nfault=0\n", ",crc=0")), "left: fault=0")
     lu.assertNotStrContains((read_file("source=left\nfault=0\n", ",crc=0")), "left: crc=0")
     local text, problems = read_file("fault=0\nmotor.rate=fast\n\nrules=x\n", ",crc=a")
-    lu.assertEquals({ text, problems }, { "fault=0 unknown=0", { path .. ':2: motor.rate=fast: "fast" is not a rate',
-      path .. ":4: rules=x: a file of rules names no other", 'crc=a: "a" is not a number of messages' } })
-    lu.assertEquals(select(2, read_file("fault=x\n")), { path .. ':1: fault=x: "x" is not a number of messages' })
+    lu.assertEquals({ text, problems }, { "fault=0 unknown=0", { path .. ':2: motor.rate=fast: "fast" is not a number for rate',
+      path .. ":4: rules=x: a file of rules names no other", 'crc=a: "a" is not a number for crc' } })
+    lu.assertEquals(select(2, read_file("fault=x\n")), { path .. ':1: fault=x: "x" is not a number for fault' })
     for _, more in ipairs { "", ",crc=0" } do
       lu.assertEquals(select(2, read_file("fault=0\nsource=left\n", more)),
         { ("rules=%s: no rule follows source=left: it is for those behind it"):format(path) })

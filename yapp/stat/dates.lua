@@ -10,16 +10,12 @@ Dates.__index = Dates
 
 --- Make the dates of a capture.  Until Dates:set_first, its first packet came in 1970.
 function M.new()
-  local self = setmetatable({}, Dates)
-  self:set_first(0, 0, 0)
-  return self
+  return setmetatable({ seconds = 0, nanoseconds = 0 }, Dates)
 end
 
---- Set when the first packet was captured.
--- seconds, nanoseconds  integers
--- rel                   the packet's time since the first one: not 0 if a filter rejected the first
-function Dates:set_first(seconds, nanoseconds, rel)
-  self.first = { seconds = seconds, nanoseconds = nanoseconds, rel = rel }
+--- Set when the first packet was captured: integers, since 1970.
+function Dates:set_first(seconds, nanoseconds)
+  self.seconds, self.nanoseconds = seconds, nanoseconds
 end
 
 --- Return a time as seconds and nanoseconds; exact for captures of up to 48 days, as a double has
@@ -27,10 +23,8 @@ end
 -- rel      seconds since the first packet
 -- returns  integers, nanoseconds 0 .. 999,999,999
 function Dates:exact(rel)
-  local first = self.first
-  local since = rel - first.rel
-  local nanoseconds = first.nanoseconds + floor(since % 1 * 1e9 + 0.5)
-  local seconds = first.seconds + floor(since) + floor(nanoseconds / 1e9)
+  local nanoseconds = self.nanoseconds + floor(rel % 1 * 1e9 + 0.5)
+  local seconds = self.seconds + floor(rel) + floor(nanoseconds / 1e9)
   return seconds, nanoseconds % 1e9
 end
 

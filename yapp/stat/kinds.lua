@@ -145,6 +145,7 @@ M.CHANGES = {}
 M.RULES = {}
 for _, row in ipairs(M.LIST) do
   row.name, row.text = row[1], row[2]
+  row.bound, row.is_count = "high", true -- of its rule, see stat.rules
   M.BY_NAME[row.name] = row
   if row.change then M.CHANGES[#M.CHANGES + 1] = row end
   if not row.counts_as then M.RULES[#M.RULES + 1] = row.name end

@@ -237,35 +237,25 @@ end
 --
 -- These functions raise errors.
 
--- Return a number that is not below 0; for a count one without a fraction.
-local function parse_limit(text, what, is_count)
-  local value = decimal(text)
-  local is_good = value and value >= 0 and not (is_count and text:find("%D"))
-  return demand(is_good and value, "%q is not a %s", text, what)
-end
-
--- An end of a range, which may be left out.
-local function parse_end(text, none)
-  if text == "" then return none end
-  return demand(decimal(text), RANGE)
-end
-
 -- Return the ends of A..B, A.. or ..B.
 local function parse_range(text)
   local low, high = text:match("^(.-)%.%.(.*)$")
   demand(low and text ~= "..", RANGE)
-  low, high = parse_end(low, -INFINITE), parse_end(high, INFINITE)
+  low = low == "" and -INFINITE or demand(decimal(low), RANGE)
+  high = high == "" and INFINITE or demand(decimal(high), RANGE)
   demand(low <= high, "nothing lies in this range")
   return low, high
 end
 
 -- Set the limits of a rule by its measure.
-local function set_limits(rule, value)
+local function set_limits(rule, text)
   local measure = rule.kind
-  if measure.takes_range and (not measure.bound or value:find("..", 1, true)) then
-    rule.low, rule.high = parse_range(value)
+  if measure.takes_range and (not measure.bound or text:find("..", 1, true)) then
+    rule.low, rule.high = parse_range(text)
   else
-    rule[measure.bound] = parse_limit(value, measure.name, measure.is_count)
+    local value = decimal(text)
+    local is_good = value and value >= 0 and not (measure.is_count and text:find("%D"))
+    rule[measure.bound] = demand(is_good and value, "%q is not a number for %s", text, measure.name)
   end
   if measure.judges_values then
     rule.range = { low = rule.low, high = rule.high }
@@ -295,7 +285,7 @@ function M.parse(text, catalogue, source, options)
   local kind = kinds.BY_NAME[name]
   local rule = { text = text, source = source, kind = kind, low = -INFINITE, high = INFINITE }
   if kind and not kind.counts_as then
-    rule.high = parse_limit(value, "number of messages", true)
+    set_limits(rule, value)
     return rule
   end
   local message_name, rest = (name or ""):match("^([^.]+)%.(.+)$")

@@ -30,7 +30,7 @@ Run.__index = Run
 -- hint      a text for statistics without a filter, or nil
 function M.new(settings, hint)
   local self = setmetatable({ settings = settings, hint = hint, answers = {} }, Run)
-  self.dates = dates.new()
+  self.dates = dates.new() -- until a time is known, if ever, of 1970
   self:reset()
   return self
 end
@@ -48,7 +48,6 @@ function Run:reset()
   self.has_progress = false -- true if it differs from the packet's before
   -- How often the capture's clock went back, and the latest packet behind that:
   self.steps, self.step = 0, { number = 0, time = 0 }
-  self.dates:set_first(0, 0, 0) -- until a time is known, if ever
 end
 
 --- Add a statistic, see stat.answer.
@@ -200,13 +199,12 @@ function Run:finish(capture)
     return kinds.span(event.frame < step.number and step.time or event.time, last)
   end
   self.events:finish(length_since)
-  local seconds, nanoseconds = self.dates:exact(0)
   local reason = explain_nothing_found(self, capture)
   local ending = {
     last = self.last, -- seconds from the first packet to the last one, nil for none
     length_since = length_since, -- function(event) -> seconds from a message to the end
     events = self.events,
-    begin = seconds + nanoseconds / 1e9, -- of the first packet
+    begin = self.dates.seconds + self.dates.nanoseconds / 1e9, -- of the first packet
     reason = reason, -- why no message was found, nil if one was
     lacks_times = explain_times(self, capture),
     steps = self.steps, -- how often its stamps went back

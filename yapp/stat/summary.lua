@@ -10,30 +10,28 @@ local output = require "yapp.stat.output"
 
 local M = {}
 
--- Besides, a column has
---   kind   the kind of event that it counts; or
---   value  function(group) -> its value; needs_time = true if it means nothing without time stamps
+-- Besides, a column may have
+--   kind   the kind of event that it counts
+--   value  function(group) -> its value; without both it is group[key]
+--   needs_time  true if it means nothing without time stamps
 local COLUMNS = output.columns {
   { "who" },
   { "bus" },
   { "id" },
   { "source" },
   { "message" },
-  { "count", type = "integer", value = function(group) return group.count end,
-    help = "good messages" },
+  { "count", type = "integer", help = "good messages" },
   { "rate", type = "number", unit = "Hz", needs_time = true, value = groups.rate,
     help = "(count - 1) / (last - first)" },
   { "gap_min", type = "seconds", unit = "s", where = "json text", title = "gap/s min",
-    needs_time = true, value = function(group) return output.seconds(group.gap_min) end,
+    needs_time = true,
     help = "the shortest time between two messages" },
   { "gap_mean", type = "seconds", unit = "s", where = "json text", title = "mean",
-    needs_time = true, value = function(group) return output.seconds(groups.mean_gap(group)) end,
-    help = "the mean" },
+    needs_time = true, value = groups.mean_gap, help = "the mean" },
   { "gap_max", type = "seconds", unit = "s", title = "max", short = "gap/s",
-    needs_time = true, value = function(group) return output.seconds(group.gap_max) end,
-    help = "the longest" },
+    needs_time = true, help = "the longest" },
   { "gap_max_frame", type = "integer", where = "json text", title = "in frame",
-    needs_time = true, value = function(group) return group.gap_max_frame end,
+    needs_time = true,
     help = "the message behind the longest gap" },
   { "crc_bad", type = "integer", kind = "crc", title = "bad CRC", short = "CRC",
     help = "messages with a bad CRC" },
@@ -42,8 +40,7 @@ local COLUMNS = output.columns {
   { "late", type = "integer", kind = "late",
     help = "silences between two messages" },
   -- JSON has it as an event.
-  { "silent", where = "text window", title = "silent/s at the end", short = "silent/s",
-    value = function(group) return group.silent end },
+  { "silent", where = "text window", title = "silent/s at the end", short = "silent/s" },
   { "reboots", type = "integer", kind = "reboot", where = "json text",
     help = "how often the controller's clock went back" },
   { "values", type = "values", where = "json", -- Summary:finish works it out
@@ -83,11 +80,14 @@ M.new = Summary.new
 local function row_of(group, ending)
   local row = output.row(group.source, {})
   for _, column in ipairs(COLUMNS.all) do
+    local key, value = column.key, nil
     if column.kind then
-      row[column.key] = groups.count(group, column.kind).seen
-    elseif column.value and not (column.needs_time and ending.lacks_times) then
-      row[column.key] = column.value(group)
+      value = groups.count(group, column.kind).seen
+    elseif not (column.needs_time and ending.lacks_times) then
+      value = column.value and column.value(group) or group[key]
+      if column.type == "seconds" then value = output.seconds(value) end
     end
+    row[key] = row[key] or value
   end
   return row
 end

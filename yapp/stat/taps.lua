@@ -100,7 +100,7 @@ local function tap_packets(self)
     end
     if self.current.packets == 0 then
       local seconds, nanoseconds = buses:begin(pinfo)
-      self.current.dates:set_first(seconds, nanoseconds, 0)
+      self.current.dates:set_first(seconds, nanoseconds)
     end
     self.current:packet(pinfo.number, pinfo.rel_ts, has_clock)
     calls.ended = calls.ended + 1
