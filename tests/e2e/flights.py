@@ -542,18 +542,15 @@ class Flight:
         return b"".join(blocks)
 
 
-def acf_can(frame, tags=b""):
-    """IEEE 1722: a CAN frame in an Ethernet packet, an ACF-CAN message in NTSCF; behind tags of VLANs."""
+def acf_can(frame):
+    """IEEE 1722: a CAN frame in an Ethernet packet, an ACF-CAN message in NTSCF."""
     padding = -len(frame.data) % 4
     body = bytes([padding << 6 | 8, 1]) + bytes(8) + struct.pack(">I", frame.can_id) + frame.data + bytes(padding)
     body = struct.pack(">H", 1 << 9 | (2 + len(body)) // 4) + body
-    return bytes(12) + tags + b"\x22\xf0" + struct.pack(">BBBB8x", 0x82, 0x80, len(body), 0) + body
+    return bytes(12) + b"\x22\xf0" + struct.pack(">BBBB8x", 0x82, 0x80, len(body), 0) + body
 
 
-LINK_TYPES = [(1, acf_can),
-              (227, Frame.record),
-              (192, lambda frame: struct.pack("<BBHI", 0, 0, 8, 227) + frame.record()),  # PPI
-              (1, lambda frame: acf_can(frame, b"\x81\x00\x00\x07")),
+LINK_TYPES = [(227, Frame.record),
               (113, lambda frame: struct.pack(">HHH8xH", 0, 280, 0, 0x0C) + frame.record(little=True))]  # Linux cooked
 
 

@@ -89,7 +89,7 @@ end
 
 -- The capture of a file.
 -- found  what capture.file says of it
--- with   { words = of the command line, head, why = it cannot be read, has_two_passes, reads_on,
+-- with   { words = of the command line, head, has_two_passes,
 --        is_missed = it was opened before the plugin was loaded }
 local function capture_of(found, with)
   with = with or {}
@@ -107,18 +107,14 @@ local function capture_of(found, with)
   package.loaded["yapp.capture.file"] = { HEAD = #HEAD, read = function(head, more)
     if head == "" then return { names = {}, drops = {}, count = 0, bus_finder = found.bus_finder } end
     seen.head, seen.more = head, more
-    if with.reads_on then more(0, 8) end
     return found
   end }
   package.loaded["yapp.capture.fields"] = function() return said.fields or {} end
   package.loaded["yapp.file.readers"] = { forget = function() seen.forgotten = true end,
     log = function() return said.log or {} end, current = function() return unpack_all(said.current or {}) end }
   local capture = require("yapp.capture.capture").watch()
-  local reads, file = 0, {}
-  function file.read()
-    reads = reads + 1
-    return with.head or HEAD, with.why or reads > 1 and with.reads_on or nil
-  end
+  local file = {}
+  function file.read() return with.head or HEAD end
   function file.seek(_, how, offset)
     if offset > 2 ^ 40 then return not with.has_two_passes and offset or nil end
     seen.sought = { how, offset }
@@ -154,14 +150,14 @@ function T.test_what_is_a_file()
   lu.assertFalse(seen.compares_times, "a user may shift the times there")
 end
 
--- When fields tell the bus: of a live capture, behind what was read of a pipe, of a damaged file.
+-- When fields tell the bus: of a live capture, behind what was read of a pipe.
 function T.test_when_fields_are_needed()
   local pipe = { words = { "-r", "-" } }
   for i, row in ipairs {
     { {}, {}, 0 }, { { is_live = true }, {}, 1 }, { { has_several = true }, { head = "short" }, 1 },
     { { has_several = true }, {}, 0 }, { { may_add_buses = true }, pipe, 1 }, { {}, pipe, 0 },
     { { may_add_buses = true }, { words = pipe.words, head = "short" }, 0 },
-    { {}, { why = "damaged" }, 1 }, { {}, { reads_on = "damaged" }, 1 }, { {}, { is_missed = true }, 0 },
+    { {}, { is_missed = true }, 0 },
   } do
     seen.taps, row[1].is_told = {}, true
     capture_of(row[1], row[2])
@@ -201,7 +197,7 @@ function T.test_the_bus_of_a_record_of_ours()
   local capture = capture_of { is_told = false }
   lu.assertTrue(capture.bus_is_per_packet)
   lu.assertEquals({ capture.bus_of(3, {}) }, { 2, true })
-  lu.assertEquals(capture.found.names[2], "can1")
+  lu.assertEquals(capture:name(2), "can1")
   said.log = { plain_bus = "can0" }
   capture:init()
   lu.assertFalse(capture.bus_is_per_packet)

@@ -43,22 +43,18 @@ function M.watch()
   local handler = FileHandler.new("YAPP reads heads of files (opens none)", "yapp_head",
     "Looks at the headers", "rms")
   function handler.read_open(file, _)
-    local head, why = file:read(files.HEAD)
-    head = head or ""
+    local head = file:read(files.HEAD) or ""
     self.is_short = #head < files.HEAD
     local may_read = not self.is_short and is_file(file)
     file:seek("set", #head)
     local function more(skip, count)
       if not may_read then return nil end
       if skip > 0 then file:seek("cur", skip) end
-      local bytes, problem = file:read(count)
-      why = why or problem
-      return bytes
+      return (file:read(count))
     end
     self.seen = files.read(head, more)
     self.has_seen_file = true
     self.is_long_pipe = not (self.is_short or may_read)
-    self.is_damaged = why ~= nil -- as a compressed file that was cut off
     file_readers.forget()
     return false
   end
@@ -97,7 +93,7 @@ local function find_bus(self, in_file, number, pinfo)
   local found, bus, name = self.found, nil, nil
   if not found.is_told then bus, name = file_readers.current() end
   if bus then
-    found.names[bus] = name
+    self.names[bus] = name
     return bus, true
   end
   if found.has_several then return in_file(number, pinfo) end
@@ -111,7 +107,7 @@ local function are_fields_needed(self)
   -- A short file may be of a live capture that already had packets when it was opened.
   local may_go_on = self.is_short and found.has_several or found.is_live
   local is_open = self.is_long_pipe and found.may_add_buses
-  return may_go_on or is_open or self.is_damaged or self:missed_file()
+  return may_go_on or is_open or self:missed_file()
 end
 
 --- Use the file that was seen last: it is about to be dissected.  Files seen before it did not
@@ -120,6 +116,7 @@ function Capture:init()
   local found = self.seen
   self.found = found
   self.plain_bus = file_readers.log().plain_bus
+  self.names = {} -- by bus, of a reader of ours
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
   local needs_fields = are_fields_needed(self)
   self.bus_is_per_packet = needs_fields or found.has_several or
@@ -209,7 +206,7 @@ end
 -- is_ip    true if the packet came in UDP or TCP, so by any interface
 -- returns  text, or nil where the capture names none
 function Capture:name(bus, is_ip)
-  return self.found:name(bus, is_ip) or not bus and self.plain_bus or nil
+  return self.names[bus or 0] or self.found:name(bus, is_ip) or not bus and self.plain_bus or nil
 end
 
 return M

@@ -11,36 +11,12 @@ local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
-local byte, find, floor, max, min, sub =
-  string.byte, string.find, math.floor, math.max, math.min, string.sub
+local byte, find, floor, max, sub = string.byte, string.find, math.floor, math.max, string.sub
 
 --- How many bytes of a pipe may be read: Wireshark can rewind so many.
 M.HEAD = 65536
-local CHUNK = 1048576 -- bytes that are read at once, and the most that are held of a block
-local MAX_BLOCK = 2 ^ 28 -- bytes; Wireshark refuses longer ones
-local MAX_OPTIONS = 64 -- of a block
+local CHUNK = 1048576 -- bytes that are read at once, and the most that are read of a block
 local SAME_TIME = 2e-6 -- seconds between the file's stamp and Wireshark's for the same packet
-
--- Link types whose packets may carry YAPP: SocketCAN, alone and in Linux cooked captures; serial
--- lines: exported PDUs and DLT_USER 0 .. 15, whose packets may have a direction; RTAC serial.
-local SOCKETCAN, COOKED, COOKED_2, RTAC = 227, 113, 276, 250
-local IS_SERIAL = { [252] = true }
-for linktype = 147, 162 do IS_SERIAL[linktype] = true end
-local FLAG_DIRECTIONS = { [0] = 0, "rx", "tx" } -- by the lowest two bits of a packet's flags
-local EVENT_DIRECTIONS = { "tx", "rx", "tx", "rx" } -- of an RTAC packet by its event
-local IS_CAN = { ["\0\12"] = true, ["\0\13"] = true } -- protocols: CAN and CAN FD
-
--- By link type: function(head) -> the index of a packet's bus in its interface; nil for a packet
--- that carries no YAPP.  head: the first HEADER bytes of the packet.
-local HEADER = 20
-local INDEX_OF = {
-  [RTAC] = function(head) return EVENT_DIRECTIONS[byte(head, 9)] or "tx" end,
-  [COOKED_2] = function(head)
-    if not IS_CAN[sub(head, 1, 2)] or #head < HEADER then return nil end
-    local a, b, c, d = byte(head, 5, 8)
-    return a * 0x1000000 + b * 0x10000 + c * 0x100 + d
-  end,
-}
 
 -- The bytes of a file -----------------------------------------------------------------------------
 
@@ -95,11 +71,10 @@ function Window:has(offset, count)
 end
 
 -- Return whether bytes may have the header of a YAPP frame.
--- is_header  function(bytes, start); nil for a whole one
-local function has_header(bytes, is_header)
+local function has_header(bytes)
   local start = frame.find(bytes, 1)
   while start do
-    if (is_header or frame.is_plausible)(bytes, start) then return true end
+    if frame.is_plausible(bytes, start) then return true end
     start = frame.find(bytes, start + 1)
   end
   return false
@@ -107,19 +82,33 @@ end
 
 -- Buses -------------------------------------------------------------------------------------------
 
+local SOCKETCAN, COOKED, COOKED_2, RTAC = 227, 113, 276, 250
+local IS_CAN = { ["\0\12"] = true, ["\0\13"] = true } -- protocols of Linux cooked captures
+local EVENT_DIRECTIONS = { "tx", "rx", "tx", "rx" } -- of an RTAC packet by its event
+local FLAG_DIRECTIONS = { [0] = 0, "rx", "tx" } -- by the lowest two bits of a packet's flags
+
+-- By link type that may carry YAPP: function(head, flags) -> the index of a packet's bus in its
+-- interface, nil for a packet that carries none; 0 where the interface is one bus.
+-- head   the first HEADER bytes of the packet
+-- flags  of the packet
+local HEADER = 8 + 1
+local INDEX_OF = { [SOCKETCAN] = 0, [COOKED] = 0 }
+
+INDEX_OF[RTAC] = function(head) return EVENT_DIRECTIONS[byte(head, 9)] or "tx" end
+
+INDEX_OF[COOKED_2] = function(head)
+  if not IS_CAN[sub(head, 1, 2)] or #head < HEADER then return nil end
+  local a, b, c, d = byte(head, 5, 8)
+  return a * 0x1000000 + b * 0x10000 + c * 0x100 + d
+end
+
+-- Serial lines: exported PDUs and DLT_USER 0 .. 15.
+local function index_by_flags(_, flags) return FLAG_DIRECTIONS[flags % 4] or 0 end
+INDEX_OF[252] = index_by_flags
+for linktype = 147, 162 do INDEX_OF[linktype] = index_by_flags end
+
 local File = {}
 File.__index = File
-
--- Give a bus a name that no other has.  If several buses have the name of its interface, or may
--- have it in a live capture, append "#" and the index, or the number of the interface.
-local function name_bus(self, number)
-  local bus = self.buses[number]
-  local name, has_index = bus.name, bus.index ~= 0
-  local suffix = "#" .. (has_index and bus.index or bus.interface.number)
-  if self.uses[name] > 1 or has_index and self.is_live then name = name .. suffix end
-  while self.is_taken[name] do name = name .. suffix end
-  self.is_taken[name], self.names[number] = true, name
-end
 
 -- Return the number of a bus, which may be new.
 -- index  in its interface; 0 if it is the only one
@@ -129,83 +118,20 @@ local function bus_number(self, interface, index)
     local name = interface.name or "if" .. interface.number
     number = #self.buses + 1
     interface.buses[index] = number
-    self.buses[number] = { interface = interface, index = index, name = name }
+    self.buses[number] = { interface = interface, name = name, index = index }
     self.uses[name] = (self.uses[name] or 0) + 1
   end
   return number
 end
 
--- Return the bus of a packet of a serial line.
--- direction  "rx", "tx" or 0; that which comes first has the bus of the interface
-local function bus_of_direction(self, interface, direction)
-  interface.direction = interface.direction or direction
-  if direction == interface.direction then return interface.bus end
-  return bus_number(self, interface, direction)
-end
-
--- Keep the bus of the latest packet, and when it was captured: seconds since 1970.
-local function keep_bus(self, bus, seconds)
-  self.bus_by_number[self.count], self.stamps[self.count] = bus, seconds
-end
-
--- Return the bus of a packet, 0 if it carries no YAPP.
--- offset  of its data
-local function bus_by_header(self, window, interface, offset)
-  local index_of = INDEX_OF[interface.linktype]
-  if not index_of then return interface.bus end
-  local index = index_of(window:bytes(offset, HEADER))
-  return index and bus_number(self, interface, index) or 0
-end
-
--- Times -------------------------------------------------------------------------------------------
-
--- Compare a time stamp with the first one of its interface, or file: others may begin at another
--- time.  A recorder without a clock gives all packets one stamp.
-local function compare_stamp(self, interface, seconds)
-  interface.stamp = interface.stamp or seconds
-  if seconds ~= interface.stamp then self.stamps_differ = true end
-end
-
--- Divide a stamp exactly: 1700000000123456789 units of 10^-9 s do not fit into a double.
--- bytes       of it, the highest first
--- per_second  number of units in a second
--- returns     { seconds, nanoseconds }
-local function exact_time(bytes, per_second)
-  local seconds, rest = 0, 0
-  for i = 1, #bytes do
-    rest = rest * 0x100 + byte(bytes, i)
-    seconds = seconds * 0x100 + floor(rest / per_second)
-    rest = rest % per_second
-  end
-  local is_fine = per_second > 1e9
-  return { seconds, floor(is_fine and rest / (per_second / 1e9) or rest * (1e9 / per_second)) }
-end
-
--- pcapng ------------------------------------------------------------------------------------------
-
--- The options of a block: { [code] = bytes }.
--- offset, stop  of the first one, and behind the last one
-local function read_options(window, offset, stop)
-  local options = {}
-  for _ = 1, MAX_OPTIONS do
-    if offset + 4 > stop or not window:has(offset, 4) then break end
-    local code, length = window:number(offset, 2), window:number(offset + 2, 2)
-    if code == 0 or offset + 4 + length > stop or not window:has(offset, 4 + length) then break end
-    options[code] = options[code] or window:bytes(offset + 4, length)
-    offset = offset + 4 + length + -length % 4
-  end
-  return options
-end
-
--- Time units in a second, by the option if_tsresol.
-local function units_per_second(option)
-  local exponent = option and byte(option) or 6
-  return exponent < 128 and 10 ^ exponent or 2 ^ (exponent - 128)
-end
-
--- Return the interface of a packet by its number in the section.
-local function interface_of(self, number)
-  return self.interfaces[self.first_interface + number + 1]
+-- Keep the bus of the latest packet, 0 if it carries no YAPP.
+-- offset   of its data
+-- seconds  since 1970
+local function keep_bus(self, window, interface, offset, flags, seconds)
+  local index = INDEX_OF[interface.linktype]
+  if index and index ~= 0 then index = index(window:bytes(offset, HEADER), flags) end
+  self.bus_by_number[self.count] = index and bus_number(self, interface, index) or 0
+  self.stamps[self.count] = seconds
 end
 
 -- Add an interface to those of the file.
@@ -218,26 +144,73 @@ local function add_interface(self, linktype, name)
     per_second = 1e6, -- time units
     shift = 0, -- seconds to add to its times
     buses = {}, -- by index
-    bus = 0, -- of its packets, 0 if they carry no YAPP or if each tells it
-    direction = nil, -- of a serial line: the first one that came, which has `bus`
     stamp = nil, -- that of its first packet
     dropped = 0, -- packets, as the statistics say
     accounted = 0, -- dropped packets, as options of packets say
   }
-  self.interfaces[#self.interfaces + 1], self.linktypes[linktype] = interface, true
-  local is_serial, is_mixed = IS_SERIAL[linktype], INDEX_OF[linktype] ~= nil
-  if is_mixed or is_serial or linktype == SOCKETCAN or linktype == COOKED then
-    self.yapp_interfaces = self.yapp_interfaces + 1
-    if not is_mixed then interface.bus = bus_number(self, interface, 0) end
-    self.has_indexes = self.has_indexes or linktype == COOKED_2
-    if not self.keeps then self.early = self.count end
-    self.keeps = self.keeps or is_mixed or is_serial or self.yapp_interfaces > 1
+  self.interfaces[#self.interfaces + 1] = interface
+  local index = INDEX_OF[linktype]
+  if not index then return interface end
+  if index == 0 then bus_number(self, interface, index) end
+  self.yapp_interfaces = self.yapp_interfaces + 1
+  self.has_indexes = self.has_indexes or linktype == COOKED_2
+  if not self.keeps and (index ~= 0 or self.yapp_interfaces > 1) then
+    self.keeps = true
+    for number = 1, self.count do self.bus_by_number[number] = 1 end
   end
   return interface
 end
 
--- The functions in BLOCKS, below, read a block: its first CHUNK bytes are available.  They return
--- true to read no further.
+-- Times -------------------------------------------------------------------------------------------
+
+-- Compare a time stamp with the first one of its interface: others may begin at another time.  A
+-- recorder without a clock gives all packets one stamp.
+local function compare_stamp(self, interface, seconds)
+  interface.stamp = interface.stamp or seconds
+  if seconds ~= interface.stamp then self.stamps_differ = true end
+end
+
+-- Divide a stamp exactly: 1700000000123456789 units of 10^-9 s do not fit into a double.
+-- high, low   halves of it, of 32 bits
+-- per_second  number of units in a second
+-- returns     { seconds, nanoseconds }
+local function exact_time(high, low, per_second)
+  local seconds, rest = 0, 0
+  for _, half in ipairs { high, low } do
+    for _, digit in ipairs { floor(half / 0x10000), half % 0x10000 } do
+      rest = rest * 0x10000 + digit
+      seconds = seconds * 0x10000 + floor(rest / per_second)
+      rest = rest % per_second
+    end
+  end
+  local is_fine = per_second > 1e9
+  return { seconds, floor(is_fine and rest / (per_second / 1e9) or rest * (1e9 / per_second)) }
+end
+
+-- pcapng ------------------------------------------------------------------------------------------
+
+-- The options of a block: { [code] = bytes }.
+-- offset, stop  of the first one, and behind the last one
+local function read_options(window, offset, stop)
+  local options = {}
+  stop = math.min(stop, window.stop)
+  while offset + 4 <= stop do
+    local code, length = window:number(offset, 2), window:number(offset + 2, 2)
+    if code == 0 or offset + 4 + length > stop then break end
+    options[code] = options[code] or window:bytes(offset + 4, length)
+    offset = offset + 4 + length + -length % 4
+  end
+  return options
+end
+
+-- Time units in a second, by the option if_tsresol.
+local function units_per_second(option)
+  local exponent = option and byte(option) or 6
+  return exponent < 128 and 10 ^ exponent or 2 ^ (exponent - 128)
+end
+
+-- The functions in BLOCKS, below, read a block of `length` bytes, of which the first CHUNK are
+-- available.  They return true to read no further.
 
 local function read_interface(self, window, offset, length)
   if length < 20 then return true end
@@ -248,17 +221,9 @@ local function read_interface(self, window, offset, length)
   interface.shift = window:value(options[14] or "")
 end
 
--- Return the options of an enhanced block.
-local function packet_options(window, offset, length)
-  local captured = three_numbers(window, offset + 20)
-  local start, stop = offset + 28 + captured + -captured % 4, offset + length - 4
-  return start < stop and read_options(window, start, stop) or {}
-end
-
 -- Add the packets that were dropped in front of the latest one.
 -- seconds  since 1970 at which that was captured
-local function add_drops(self, window, interface, seconds, options)
-  local count = window:value(options[4] or "")
+local function add_drops(self, interface, seconds, count)
   if count == 0 then return end
   interface.accounted = interface.accounted + count
   self.drops[#self.drops + 1] =
@@ -266,61 +231,60 @@ local function add_drops(self, window, interface, seconds, options)
 end
 
 -- Read the bus of the latest packet, and the packets that were dropped in front of it.
-local function read_facts(self, window, offset, length, interface, seconds)
-  local is_serial = IS_SERIAL[interface.linktype]
-  local options = (is_serial or window.may_have_drops) and packet_options(window, offset, length)
-  local bus
-  if is_serial then
-    self.has_serial_frames = self.has_serial_frames or has_header(window:bytes(offset + 28, length))
-    local flags = window:value(options[2] or "")
-    bus = bus_of_direction(self, interface, FLAG_DIRECTIONS[flags % 4] or 0)
+local function read_facts(self, window, offset, length, interface, seconds, captured)
+  local is_serial = INDEX_OF[interface.linktype] == index_by_flags
+  local options, data = {}, offset + 28
+  if is_serial or window.may_have_drops then
+    options = read_options(window, data + captured + -captured % 4, offset + length - 4)
+    add_drops(self, interface, seconds, window:value(options[4] or ""))
+  end
+  if is_serial and not self.has_serial_frames then
+    self.has_serial_frames = has_header(window:bytes(data, length))
   end
   if self.keeps then
-    keep_bus(self, bus or bus_by_header(self, window, interface, offset + 28), seconds)
+    keep_bus(self, window, interface, data, window:value(options[2] or ""), seconds)
   end
-  if window.may_have_drops then add_drops(self, window, interface, seconds, options) end
 end
 
--- Read a block with a packet of an interface.
-local function read_packet(self, window, offset, length)
+-- Read a block with a packet of an interface: its number in the section.
+local function read_packet(self, window, offset, length, number)
   self.count = self.count + 1
   local is_wanted = self.keeps or window.may_have_drops or not self.stamps_differ
   if not is_wanted then return end -- the usual case
-  if length < 32 then return true end
-  local number, high, low = three_numbers(window, offset + 8)
-  local interface = interface_of(self, number)
-  if not interface then return self.keeps end
+  local interface = self.interfaces[self.first_interface + number + 1]
+  if length < 32 or not interface then return true end
+  local high, low, captured = three_numbers(window, offset + 12)
   local seconds = (high * 2 ^ 32 + low) / interface.per_second + interface.shift
   if self.count == 1 then
-    local half, bytes = window:bytes(offset + 12, 4), window:bytes(offset + 16, 4)
-    bytes = window.is_little and half:reverse() .. bytes:reverse() or half .. bytes
-    self.first = exact_time(bytes, interface.per_second)
+    self.first = exact_time(high, low, interface.per_second)
     self.first[1] = self.first[1] + interface.shift
   end
   compare_stamp(self, interface, seconds)
-  read_facts(self, window, offset, length, interface, seconds)
+  read_facts(self, window, offset, length, interface, seconds, captured)
 end
 
 -- A simple block has a packet of the section's first interface, without a time.
 local function read_simple_packet(self, window, offset)
   self.count, self.lacks_times = self.count + 1, true
-  local interface = interface_of(self, 0)
+  local interface = self.interfaces[self.first_interface + 1]
   if not interface then return true end
-  if self.keeps then keep_bus(self, bus_by_header(self, window, interface, offset + 12), 0) end
+  if self.keeps then keep_bus(self, window, interface, offset + 12, 0, 0) end
 end
 
 -- Read how many packets an interface, or its operating system, dropped so far.
-local function read_statistics(self, window, offset, length)
-  local interface = interface_of(self, window:number(offset + 8, 4))
+local function read_statistics(self, window, offset, length, number)
+  local interface = self.interfaces[self.first_interface + number + 1]
   if not interface then return end
   local options = read_options(window, offset + 20, offset + length - 4)
   local own, by_system = window:value(options[5] or ""), window:value(options[7] or "")
   interface.dropped = max(interface.dropped, own, by_system)
 end
 
--- A packet that is none of a bus.  If it is the first one, Wireshark counts no times from it.
+-- A block that Wireshark gives a frame number, too.  If it is the first one, Wireshark counts no
+-- times from it.
 local function count_packet(self)
   self.count = self.count + 1
+  self.bus_by_number[self.count] = 0
   if self.count == 1 then self.lacks_times = true end
 end
 
@@ -329,16 +293,10 @@ local BLOCKS = {
   [3] = read_simple_packet,
   [5] = read_statistics,
   [6] = read_packet,
+  [9] = count_packet, -- of the systemd journal
+  [0xBAD] = count_packet, -- custom blocks
+  [0x40000BAD] = count_packet,
 }
--- Wireshark gives these a frame number, too: custom blocks, the systemd journal, events of sysdig.
-for _, kind in ipairs { 0xBAD, 0x40000BAD, 9, 0x204, 0x216, 0x221 } do
-  BLOCKS[kind] = count_packet
-end
--- Numbers behind these are not known: obsolete packets, and events of sysdig that have a number in
--- Wireshark 4.6 and none in 4.4.
-for _, kind in ipairs { 2, 0x208, 0x217, 0x222 } do
-  BLOCKS[kind] = function() return true end
-end
 
 local SECTION = 0x0A0D0D0A
 
@@ -353,14 +311,13 @@ end
 
 local function read_pcapng(self, window)
   local offset = 0
-  while offset + 12 <= window.stop or window:has(offset, 12) do
-    local kind, length = three_numbers(window, offset)
+  while window:has(offset, 12) do
+    local kind, length, number = three_numbers(window, offset)
     if kind == SECTION then length = read_section(self, window, offset) end
     length = length + -length % 4 -- as Wireshark does it
-    local is_there = offset + length <= window.stop or window:has(offset, min(length, CHUNK))
-    if length < 12 or length > MAX_BLOCK or not is_there then break end
+    local is_there = length >= 12 and window:has(offset, math.min(length, CHUNK))
     local read = BLOCKS[kind]
-    if read and read(self, window, offset, length) then break end
+    if not is_there or read and read(self, window, offset, length, number) then break end
     offset = offset + length
   end
 end
@@ -371,18 +328,19 @@ local function read_pcap(self, window, is_little, fractions)
   window.is_little = is_little
   local linktype = window:number(20, 4) % 0x10000 -- above it: the length of check sequences
   local interface, offset = add_interface(self, linktype), 24
-  local is_mixed = INDEX_OF[linktype] ~= nil
   self.has_packets = window:has(24, 16)
-  while offset + 16 <= window.stop or is_mixed and window:has(offset, 16) do
+  self.keeps = linktype == COOKED_2 or linktype == RTAC -- packets of others have no flags
+  while offset + 16 <= window.stop or self.keeps and window:has(offset, 16) do
     local seconds, fraction, length = three_numbers(window, offset)
-    local time = seconds + fraction / fractions
     self.first = self.first or { seconds, floor(fraction * 1e9 / fractions) }
+    local time = seconds + fraction / fractions
     compare_stamp(self, interface, time)
-    if length > MAX_BLOCK or self.stamps_differ and not is_mixed then break end
-    if is_mixed then
+    if self.keeps then
       self.count = self.count + 1
       window:has(offset, 16 + HEADER)
-      keep_bus(self, bus_by_header(self, window, interface, offset + 16), time)
+      keep_bus(self, window, interface, offset + 16, 0, time)
+    elseif self.stamps_differ then
+      break
     end
     offset = offset + 16 + length
   end
@@ -409,53 +367,35 @@ local function complete_drops(self)
   end
   for _, drop in ipairs(drops) do
     local interface = drop.interface
-    drop.bus = self.has_several and self.names[interface.bus] or interface.name
-  end
-end
-
--- Let the first direction of a serial line have its name, now that it is known.
-local function name_directions(self)
-  for _, interface in ipairs(self.interfaces) do
-    local direction, bus = interface.direction or 0, interface.bus
-    if direction ~= 0 then
-      self.buses[bus].index = direction
-      interface.buses[0], interface.buses[direction] = nil, bus
-    end
+    drop.bus = self.has_several and self:name(interface.buses[0]) or interface.name
   end
 end
 
 -- Set the facts that are known once all packets have been read.
-local function conclude(self)
-  name_directions(self)
-  self.has_packets = self.has_packets or self.count > 0
-  local may_have_more = self.yapp_interfaces > 0 or #self.interfaces == 0
-  self.is_live = self.is_pcapng and not self.has_packets and may_have_more
-  self.may_add_buses = self.yapp_interfaces > 0 and (self.is_pcapng or self.keeps)
-  for number = 1, #self.buses do name_bus(self, number) end
+local function conclude(self, has_frame, is_pcapng)
+  local has_packets, may_carry_yapp = self.has_packets or self.count > 0, self.yapp_interfaces > 0
+  self.is_live = is_pcapng and not has_packets and (may_carry_yapp or #self.interfaces == 0)
+  self.may_add_buses = may_carry_yapp and (is_pcapng or self.keeps)
   self.has_several = #self.buses > 1 or self.is_live and self.has_indexes
-  if not self.has_several then self.bus_by_number, self.stamps = {}, {} end
+  self.may_have_frames = has_frame or not has_packets
   complete_drops(self)
 end
 
 local function new_file()
   return setmetatable({
-    yapp_interfaces = 0,
+    yapp_interfaces = 0, -- number of interfaces that may carry YAPP
     count = 0,
-    early = 0, -- packets before the second interface: all that may be YAPP are of bus 1
     keeps = false, -- true if packets may be of several buses
-    has_serial_frames = false, -- true if a packet of a serial line may have a YAPP frame
     has_indexes = false, -- true if Linux cooked v2 is among the interfaces
-    bus_by_number = {}, -- of packets: see keep_bus
-    stamps = {},
+    has_serial_frames = false,
+    bus_by_number = {}, -- of packets; 0 where its interface carries no YAPP
+    stamps = {}, -- when they were captured, seconds since 1970; nil not to compare
     interfaces = {}, -- of the file
-    linktypes = {}, -- [number] = true
     first_interface = 0, -- number of interfaces in the sections before
-    buses = {}, -- list of { interface, index, name = of the interface }
+    buses = {}, -- list of { interface, name, index }
     uses = {}, -- by name: how many buses have it
-    names = {},
-    is_taken = {}, -- by name
     drops = {},
-    first = nil, -- when the first packet was captured: { seconds, nanoseconds }
+    first = nil,
     lacks_times = false,
     stamps_differ = false,
     has_packets = false,
@@ -473,16 +413,14 @@ end
 --   is_live       true if it is pcapng without a packet yet, as when a capture begins
 --   is_told       true if it is of a format that this module reads
 --   is_unknown    true if it may have buses that this module cannot tell apart: a file of Vector
---                 BLF, or pcapng that was not read to its end and may describe them later
+--                 BLF, or pcapng that was not read to its end and may describe them later, or that
+--                 has several interfaces of which none is a bus
 --   count         how many packets were read
---   names         [bus] = its name
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
 --   first         { seconds, nanoseconds } since 1970 of the first packet; nil if not known
 --   lacks_times   true if packets have no time stamps
 --   stamps_differ true if two of the packets that were read have different ones
---   head          its first bytes, if it has packets and these may have YAPP frames, in TCP, UDP or
---                 others, of which one packet may have only the beginning
 --   has_serial_frames  true if a packet of a serial line in pcapng may have a YAPP frame
 --   may_have_frames  true if its first bytes may have YAPP frames, or it has no packets yet }
 function M.read(head, more)
@@ -494,52 +432,42 @@ function M.read(head, more)
   end
   local magic = sub(head, 1, 4)
   local format = FORMATS[magic]
-  self.is_pcapng = format ~= nil and format[1] == read_pcapng
   if format then format[1](self, window, format[2], format[3]) end
-  self.is_unknown = self.is_unknown or magic == "LOGG"
+  local has_no_bus = #self.interfaces > 1 and self.yapp_interfaces == 0
+  self.is_unknown = self.is_unknown or has_no_bus or magic == "LOGG"
   self.is_told = format ~= nil and not self.is_unknown
-  conclude(self)
-  self.head = self.has_packets and has_header(head, frame.has_id) and head or nil
-  self.may_have_frames = has_frame or not self.has_packets
+  conclude(self, has_frame, format ~= nil and format[1] == read_pcapng)
   return self
 end
 
 --- Return the options of tshark that may decode YAPP in the file's serial lines: a list.
 function File:serial_options()
   local user, list = {}, {}
-  for linktype in pairs(self.linktypes) do
-    if IS_SERIAL[linktype] and linktype <= 162 then user[#user + 1] = linktype end
+  for _, interface in ipairs(self.interfaces) do
+    local linktype = interface.linktype
+    if linktype >= 147 and linktype <= 162 then user[#user + 1] = linktype end
+    if linktype == RTAC then list[1] = "-d rtacser.data,yapp_serial" end
   end
   table.sort(user)
-  if user[1] then list[1] = "-o yapp.user_dlt:" .. table.concat(user, ",") end
-  if self.linktypes[RTAC] then list[#list + 1] = "-d rtacser.data,yapp_serial" end
+  if user[1] then table.insert(list, 1, "-o yapp.user_dlt:" .. table.concat(user, ",")) end
   return list
 end
 
---- Return the bus of a packet that was read.
--- number    of the packet
--- captured  seconds since 1970 at which Wireshark says that it was captured, nil not to compare
--- returns   its bus; 0 where its interface carries no YAPP; nil where the file's packet of this
---           number is another: a read filter has shifted the numbers
-function File:bus(number, captured)
-  if number <= self.early then return 1 end
-  local bus, stamp = self.bus_by_number[number], self.stamps[number]
-  if bus and captured and math.abs(captured - stamp) > SAME_TIME then return nil end
-  return bus
-end
-
---- Return a function(number, pinfo), which finds the bus of each packet in their order.  It
--- returns the bus, nil where it is not known; and whether it is known.  Once a packet is another
--- than the file's, all that follow are.
+--- Return a function(number, pinfo), which finds the bus of each packet in their order.  It returns
+-- the bus, nil where it is not known, as of a CAN frame inside Ethernet; and whether it
+-- is known.  A read filter shifts the numbers: once a packet is another than the file's, all that
+-- follow are.
 -- compares_times  true if pinfo.abs_ts is when the packet was captured
 -- later           function(number): the same for packets that were not read
 function File:bus_finder(compares_times, later)
-  local is_shifted = false
+  local is_shifted, bus_by_number, stamps = false, self.bus_by_number, self.stamps
   return function(number, pinfo)
     if number > self.count then return later(number) end
-    local bus = not is_shifted and self:bus(number, compares_times and pinfo.abs_ts or nil)
-    is_shifted = not bus
-    return bus or nil, not is_shifted
+    local bus, stamp = bus_by_number[number], compares_times and stamps[number]
+    if stamp and math.abs(pinfo.abs_ts - stamp) > SAME_TIME then bus = nil end
+    is_shifted = is_shifted or not bus
+    if is_shifted or bus == 0 then return nil, false end
+    return bus, true
   end
 end
 
@@ -548,23 +476,25 @@ end
 -- index      of Linux cooked v2, 0 for none; event: of RTAC, or nil
 -- name       of the interface, or nil
 -- direction  of its flags, or nil
--- returns    a bus
 function File:bus_by_fields(number, index, event, name, direction)
   local interface = self.interfaces[number + 1] or
     { number = number, name = name and utf8.name(name), buses = {} }
   self.interfaces[number + 1] = interface
-  if event then index = EVENT_DIRECTIONS[event] or "tx" end
-  local bus
-  if direction and IS_SERIAL[interface.linktype] then
-    bus = bus_of_direction(self, interface, FLAG_DIRECTIONS[direction] or 0)
-  else
-    bus = bus_number(self, interface, index)
+  if event then
+    index = EVENT_DIRECTIONS[event] or "tx"
+  elseif INDEX_OF[interface.linktype] == index_by_flags then
+    index = index_by_flags(nil, direction or 0)
   end
-  if not self.names[bus] then name_bus(self, bus) end
-  -- In a live capture further indexes may follow, so a bus with an index is one of several at once.
-  local is_first = self.is_live and bus == 1 and index ~= 0 and not event
-  self.has_several = self.has_several or is_first
-  return bus
+  return bus_number(self, interface, index)
+end
+
+-- Return the name of a bus.  If several buses have the name of its interface, or may have it in a
+-- live capture, "#" and its index follow, or the number of the interface.
+local function bus_name(self, bus)
+  local name, index = bus.name, bus.index ~= 0 and bus.index
+  local may_be_several = self.is_live and type(bus.index) == "number" and index
+  if self.uses[name] < 2 and not may_be_several then return name end
+  return name .. "#" .. (index or bus.interface.number)
 end
 
 --- Return the name of a bus.
@@ -572,11 +502,10 @@ end
 -- is_ip    true if the packet came in UDP or TCP, so by any interface
 -- returns  text, nil where the file has no name for it
 function File:name(bus, is_ip)
-  if bus then return self.names[bus] end
-  if self.is_unknown and not is_ip then return nil end
-  local only = not is_ip and not self.has_several and self.buses[1]
-  local interface = only and only.interface or self.interfaces[1]
-  if only or #self.interfaces == 1 then return interface and interface.name end
+  local one = self.buses[bus or 1]
+  if bus then return one and bus_name(self, one) end
+  if is_ip then return #self.interfaces == 1 and self.interfaces[1].name or nil end
+  if #self.buses == 1 and not self.is_unknown then return one.interface.name end
 end
 
 return M
