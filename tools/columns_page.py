@@ -6,7 +6,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "src"))  # that of this tree, installed or not
 from yapp_tables import Tshark
-from yapp_tables.records import TABLES, columns_of
+from yapp_tables.records import TABLES, column, columns_of
+from yapp_tables.runs import DEGREES
 from yapp_tables.tables import ABOUT_HEAD, DURATION, KIND, SCHEMA, TIME, messages
 
 NAMES = {TIME: "time", DURATION: "duration", KIND: "text"}
@@ -23,6 +24,13 @@ A row for each bus and ID. Good messages have a good CRC, or need none. If a sou
 No, a damaged message is `missing`, too, and the lost share is `missing / (count + missing)`.
 Otherwise it is `(crc_bad + incomplete) / (count + crc_bad + incomplete)`.""",
     "statistics": "A row for each field of each source.",
+    "steps": """\
+A row for each change of a command, by 5 % of its range or more, after which it held for 0.5 s. Times
+are by the controller's clock, on lines between two messages: `resolution` says how far apart these are.""",
+    "points": """\
+A row for each hold of a command of 3 s or more: means after its first second, and how fast
+temperatures rose. `convert --with bench.csv` adds the means of a thrust stand's log as
+`bench_<column>`. A catalogue of your own has its own fields in A, V, W, RPM and °C here.""",
     "flights": "A row for each flight.",
 }
 HEAD = f"""\
@@ -46,6 +54,20 @@ duckdb and Spark show a duration of Parquet as an integer of nanoseconds. duckdb
 times with nanoseconds: take `epoch_ns(time)`. In SQL a null equals nothing: where `bus` may be
 null, join by `IS NOT DISTINCT FROM`.
 """
+
+
+def described_points(fields):
+    """The columns of points that follow from the catalogue: of the message with a command."""
+    for message in messages(fields).values():
+        values = [c for c in message.columns.values() if c.role == "value"]
+        if not any(c.name.endswith("_commanded") for c in values):
+            continue
+        for c in values:
+            if c.unit in ("A", "V", "W", "RPM") and not c.name.endswith(("_commanded", "_error")):
+                yield c.name, "number", f"its mean: {c.title}", c.unit
+        for c in values:
+            if c.unit in DEGREES:
+                yield f"{c.name}_slope", "number", f"how fast it rose: {c.title}", f"{c.unit}/min"
 
 
 def table(rows):
@@ -86,6 +108,8 @@ for name, message in messages(fields).items():
     print(table((f"`{each}`", name_of(c.type), unit(c), meaning(each, c, columns)) for each, c in columns.items()))
 for name in TABLES:
     columns = columns_of(fields, name)
+    if name == "points":
+        columns |= {each[0]: column(*each) for each in described_points(fields)}
     print(f"\n## {name}\n\n{ABOUT[name]}\nThe first columns are `flight_id` and `source_file`, then:\n")
     names = {"message": "message_name"}
     print(table((f"`{names.get(c.name, c.name)}`", name_of(c.type), c.unit, c.title) for c in columns.values()))

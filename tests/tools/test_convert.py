@@ -14,7 +14,7 @@ import pytest
 import yapp_tables as yt
 from running import FAKE, motor_row, result
 
-TABLES = ["events", "faults", "flights", "motor", "statistics", "summary"]
+TABLES = ["events", "faults", "flights", "motor", "points", "statistics", "steps", "summary"]
 
 
 def files(folder):

@@ -5,16 +5,19 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import re
 import sys
 from collections.abc import Iterable, Sequence
 from decimal import Decimal
+from importlib.abc import MetaPathFinder
 from pathlib import Path
 
 from . import __version__, baseline, fleet, graphs, install
 from .config import Config, read_fleet
 from .convert import KINDS
 from .errors import SetupError, YappError, count_of, need
+from .scratch import write_whole
 from .tshark import Tshark, left_out
 
 FAILED, REFUSED, INCOMPLETE = 1, 2, 3
@@ -45,22 +48,24 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"yapp-tables {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("captures", nargs="+", metavar="CAPTURE", help=CAPTURES)
-    common.add_argument(
+    how = argparse.ArgumentParser(add_help=False)
+    how.add_argument(
         "-o", dest="options", action="append", default=[], type=_preference, metavar="NAME:VALUE", help="a preference"
     )
-    common.add_argument("-C", dest="profile", metavar="PROFILE", help="a profile of Wireshark's")
-    common.add_argument("--fleet", metavar="fleet.toml", help="the settings of each aircraft")
-    common.add_argument("--filter", metavar="EXPRESSION", help="a display filter: only these messages")
-    common.add_argument("--plugin", metavar="PATH", help="yapp.lua, where the plugin is not installed")
-    common.add_argument("--tshark", metavar="PATH", help="the program, where it is not in PATH")
+    how.add_argument("-C", dest="profile", metavar="PROFILE", help="a profile of Wireshark's")
+    how.add_argument("--fleet", metavar="fleet.toml", help="the settings of each aircraft")
+    how.add_argument("--filter", metavar="EXPRESSION", help="a display filter: only these messages")
+    how.add_argument("--plugin", metavar="PATH", help="yapp.lua, where the plugin is not installed")
+    how.add_argument("--tshark", metavar="PATH", help="the program, where it is not in PATH")
+    common = argparse.ArgumentParser(add_help=False, parents=[how])
+    common.add_argument("captures", nargs="+", metavar="CAPTURE", help=CAPTURES)
     common.add_argument("--strict", action="store_true", help="end with 1 where not all was decoded, not with 3")
 
     convert = commands.add_parser("convert", parents=[common], help="captures to a data set")
     convert.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="work on this Dask cluster")
     convert.add_argument("--jobs", type=_positive, metavar="N", help="captures at a time on this machine")
     convert.add_argument("--partition", choices=("day", "vehicle"), help="folders below each table of Parquet and CSV")
+    convert.add_argument("--with", dest="bench", metavar="bench.csv", help="a thrust stand's log of this one capture")
     convert.set_defaults(run=_convert)
     prune = commands.add_parser("prune", help="flights out of a data set whose captures are gone")
     prune.set_defaults(run=_prune)
@@ -77,6 +82,21 @@ def _parser() -> argparse.ArgumentParser:
     draw = commands.add_parser("graphs", parents=[common], help="a line of each controller in the profile's graphs")
     draw.add_argument("--out", metavar="FOLDER", help="of a profile; without it the profile YAPP")
     draw.set_defaults(run=_graphs)
+
+    two = commands.add_parser("diff", parents=[how], help="two runs compared: what got worse, better, or is another")
+    two.add_argument("before", metavar="BEFORE", help="a capture, a folder of them, or a pattern in quotes")
+    two.add_argument("after", metavar="AFTER", help="the same")
+    two.add_argument("--rules", metavar="FILE", help="rules that are judged on both, too")
+    two.add_argument("--junit", metavar="FILE", help="write the verdict as a JUnit suite")
+    two.add_argument("--json", action="store_true", help="one JSON object a line instead of sentences")
+    two.add_argument("--out", metavar="PAGE.html", help="write a page with both, bins side by side")
+    two.set_defaults(run=_diff)
+
+    drift = commands.add_parser("trend", help="what drifts over the flights of a data set, of each controller")
+    drift.add_argument("data", metavar="DATA", help="the folder of convert --to parquet")
+    drift.add_argument("--json", action="store_true", help="one JSON object a line, for each value of each controller")
+    drift.add_argument("--out", metavar="PAGE.html", help="write a page with a small picture a value")
+    drift.set_defaults(run=_trend)
 
     learn = commands.add_parser("baseline", parents=[common], help="good flights to rules for -z yapp,check")
     learn.add_argument("--out", required=True, metavar="flight.rules", help="the file of rules")
@@ -133,13 +153,29 @@ def _config(given: argparse.Namespace) -> Config:
     tshark = Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile)
     aircraft = read_fleet(given.fleet) if given.fleet else ()
     partition = getattr(given, "partition", None)
-    return Config(str(given.out), getattr(given, "to", "parquet"), tshark, aircraft, partition=partition)
+    bench = getattr(given, "bench", None)
+    bench = os.path.abspath(bench) if bench else None
+    return Config(str(given.out), getattr(given, "to", "parquet"), tshark, aircraft, partition=partition, bench=bench)
+
+
+class _NoPandas(MetaPathFinder):
+    """Arrow imports pandas where it is installed, which takes as long as a flight of half an hour, and needs none."""
+
+    def find_spec(self, name: str, *_: object) -> None:
+        """Refuse it."""
+        if name == "pandas":
+            raise ImportError(name)
 
 
 def _convert(given: argparse.Namespace) -> int:
     # The process is this command's own. What Dask has to say of lost workers it mends itself.
     logging.disable(logging.CRITICAL)
-    results = fleet.convert(_captures(given.captures), _config(given), jobs=given.jobs, scheduler=given.scheduler)
+    if given.to != "mf4":
+        sys.meta_path.insert(0, _NoPandas())
+    captures = _captures(given.captures)
+    if given.bench and len(fleet.find(captures)) > 1:
+        raise SetupError(f"{given.bench} is the log of one capture: name that one alone")
+    results = fleet.convert(captures, _config(given), jobs=given.jobs, scheduler=given.scheduler)
     lacking, failed = 0, 0
     for result in results:
         lacks = left_out(result.partial, "", [*result.lacks, *result.notes])
@@ -179,6 +215,33 @@ def _graphs(given: argparse.Namespace) -> int:
     captures = fleet.find(_captures(given.captures))
     folder, names = graphs.write_graphs(captures, _config(given), Path(given.out) if given.out else None)
     _say([f"graphs of {', '.join(names)} in {folder}: choose the profile again, or start Wireshark again"])
+    return 0
+
+
+def _diff(given: argparse.Namespace) -> int:
+    from . import diff  # its libraries take a while
+
+    before, after = diff.captures_of(given.before), diff.captures_of(given.after)
+    given.out, page = "", given.out
+    found = diff.compare(before, after, _config(given), Path(given.rules) if given.rules else None)
+    if given.junit:
+        write_whole(Path(given.junit), diff.junit(found))
+    if page:
+        write_whole(Path(page), diff.page(found))
+    for line in diff.json_lines(found) if given.json else diff.lines(found):
+        print(line)
+    code: int = found.code
+    return code
+
+
+def _trend(given: argparse.Namespace) -> int:
+    from . import trend
+
+    found, notes = trend.drifts(Path(given.data))
+    if given.out:
+        write_whole(Path(given.out), trend.page(found, notes))
+    for line in trend.json_lines(found) if given.json else trend.lines(found, notes):
+        print(line)
     return 0
 
 

@@ -52,7 +52,8 @@ class Config:
     out: a folder, or a URL of fsspec such as s3://bucket/folder; to: "parquet", "csv", "mf4", "mcap" or "delta";
     tshark: how captures are decoded; fleet: whose captures are decoded in another way, see read_fleet;
     run: a name of this run, by which it removes what a killed worker left;
-    partition: "day" or "vehicle", the folders below each table of Parquet and CSV, None for none.
+    partition: "day" or "vehicle", the folders below each table of Parquet and CSV, None for none;
+    bench: the log of a thrust stand, for the one capture that it is of.
     """
 
     out: str
@@ -61,6 +62,7 @@ class Config:
     fleet: tuple[Aircraft, ...] = ()
     run: str = ""
     partition: Partition | None = None
+    bench: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse what does not go together."""

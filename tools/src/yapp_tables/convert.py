@@ -78,7 +78,7 @@ def convert_one(capture: StrPath, config: Config, made: MadeBy | None = None, tr
     flight = ""
     try:
         flight, before, known = look_up(capture, dataset, made)
-        if known:
+        if known and not config.bench:
             return known
         result = _convert(capture, config, dataset, Origin(flight, capture, aircraft, tshark), made)
         former = dataset.find(before) if before and before != flight else None
@@ -102,7 +102,7 @@ def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, ma
     with dataset.aside() as aside:
         export = origin.tshark.export(capture, aside / "export")
         _check(capture, origin.tshark, export, made)
-        tables = all_tables(export, origin)
+        tables = all_tables(export, origin, Path(config.bench) if config.bench else None)
         name = f"{plain_name(capture)}-{origin.flight_id[:8]}{'.partial' if export.partial else ''}"
         folder = aside / "result"
         folder.mkdir()
@@ -116,7 +116,7 @@ def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, ma
         hint = name_hint(table(export.records["summary"], columns_of(export.fields, "summary")))
         result = Result(
             origin.flight_id, str(capture), made, tuple(files), counts, export.partial, lacks, hint=hint,
-            notes=export.notes,
+            notes=(*export.notes, *export.said),
         )  # fmt: skip
         dataset.place(folder, result)
         if before and config.to == "delta" and (gone := before.messages.keys() - counts.keys()):

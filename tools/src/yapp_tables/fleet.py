@@ -111,7 +111,7 @@ def _current(
             result = look_up(capture, dataset, made[config.of(capture)[0]])[2]
         except (YappError, OSError):  # said when it is converted
             continue
-        if result:
+        if result and not config.bench:
             done[capture] = result
     return done
 

@@ -5,16 +5,19 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
+from .bench import aligned
 from .errors import count_of
-from .scalars import mask, repeated, table_of
-from .tables import KIND, TIME, Column, Message, Origin, Rows, Table, present
+from .runs import samples
+from .steps import POINTS, STEPS, point_columns, points, steps
+from .tables import KIND, TIME, Column, Message, Origin, Rows, Table, present, repeated
 from .tshark import Export, Record
 
 # Events of one controller that are no further apart than this, in seconds, are one incident.
@@ -54,7 +57,7 @@ FLIGHTS = (
     ("undecoded", "text", "which messages were not decoded", ""),
     ("left_out", "text", "what else is missing, and what to know of the times and of copies", ""),
 )
-TABLES = ("events", "faults", "summary", "statistics", "flights")
+TABLES = ("events", "faults", "summary", "statistics", "steps", "points", "flights")
 
 
 class Records(Table):
@@ -96,8 +99,9 @@ def column(name: str, type_: str, meaning: str, unit: str = "") -> Column:
 
 def columns_of(fields: Record, name: str) -> dict[str, Column]:
     """Return the columns of a table: as the plugin's fields.json describes them, or those of this package."""
-    if name == "flights":
-        found = [column(*each) for each in FLIGHTS]
+    own = {"flights": FLIGHTS, "steps": STEPS, "points": POINTS}
+    if name in own:
+        found = [column(*each) for each in own[name]]
     else:
         of = fields["statistics"]
         described = of["summary" if name == "statistics" else name]["columns"]
@@ -120,9 +124,8 @@ def columns_of(fields: Record, name: str) -> dict[str, Column]:
 
 def table(records: Sequence[Record], columns: Mapping[str, Column]) -> pa.Table:
     """JSON lines of a statistic as a table; keys without a column come as JSON in `other`."""
-    return table_of(
-        [_cells(record, columns) for record in records], {name: each.type for name, each in columns.items()}
-    )
+    schema = pa.schema([(name, each.type) for name, each in columns.items()])
+    return pa.Table.from_pylist([_cells(record, columns) for record in records], schema)
 
 
 # Keys that another column or table has.
@@ -152,7 +155,9 @@ def _cell(type_: pa.DataType, value: Any) -> Any:
 def faults(events: pa.Table, columns: Mapping[str, Column]) -> pa.Table:
     """Return the flags that were raised and cleared, of all events."""
     is_fault = [kind == "fault" for kind in events["kind"].to_pylist()]
-    return events.filter(mask(is_fault)).select([name for name in columns if name in events.schema.names])
+    return events.filter(pa.array(is_fault, pa.bool_())).select(
+        [name for name in columns if name in events.schema.names]
+    )
 
 
 def statistics(summary: Sequence[Record], columns: Mapping[str, Column]) -> pa.Table:
@@ -226,21 +231,53 @@ def name_hint(summary: pa.Table) -> str:
     return f"no controller has a name, so the column controller is empty: set yapp.sources, as in yapp.sources:{names}"
 
 
-def all_tables(export: Export, origin: Origin) -> list[Table]:
-    """Return the messages of an export, and its events, faults, summary, statistics and the flight itself."""
+def all_tables(export: Export, origin: Origin, log: Path | None = None) -> list[Table]:
+    """Return the messages of an export, and its events, faults, summary, statistics and the flight itself.
+
+    log: of a thrust stand. Raises SetupError where that does not fit.
+    """
     rows = [Rows(export, message, origin) for message in present(export)]
     columns = {name: columns_of(export.fields, name) for name in TABLES}
     columns["faults"] = {name: each for name, each in columns["faults"].items() if name in columns["events"]}
     events = table(export.records["events"], columns["events"])
+    found = samples(_following(export, origin))
+    bench = aligned(log, found) if log else None
+    extra = point_columns(found, list(bench.columns) if bench else [])
+    columns["points"] |= {each[0]: column(*each) for each in extra}
+    if bench:
+        export.said.append(bench.said)
     makers: dict[str, Callable[[], pa.Table]] = {
         "events": lambda: events,
         "faults": lambda: faults(events, columns["faults"]),
         "summary": lambda: table(export.records["summary"], columns["summary"]),
         "statistics": lambda: statistics(export.records["summary"], columns["statistics"]),
+        "steps": lambda: _timed(steps(found), columns["steps"]),
+        "points": lambda: _timed(points(found, vars(bench) if bench else None), columns["points"]),
         # Asked last: the times are known then.
         "flights": lambda: _flight(export, origin, rows, events),
     }
     return [*rows, *(Records(name, make, origin, columns[name]) for name, make in makers.items())]
+
+
+def _following(export: Export, origin: Origin) -> dict[str, pa.Table]:
+    """Return the messages that steps and points are made of: that with a speed and its command, and those commands."""
+    catalogue = present(export)
+    tied = {name.removesuffix("_commanded"): each for each in catalogue for name in each.columns
+            if name.endswith("_commanded")}  # fmt: skip
+    if not tied:
+        return {}
+    wanted = [each for each in catalogue if each in tied.values() or tied.keys() & each.columns.keys()]
+    tables = {}
+    for message in wanted:
+        names = ["frame", "bus", "id", "source", *(name for name, each in message.columns.items()
+                 if each.role in ("value", "clock"))]  # fmt: skip
+        rows = Rows(export, message, origin, names)
+        tables[message.name] = pa.Table.from_batches(rows, rows.schema).unify_dictionaries()
+    return tables
+
+
+def _timed(rows: Iterable[Record], columns: Mapping[str, Column]) -> pa.Table:
+    return table([row | {"time": Decimal(round(row.pop("at") * 1e9)).scaleb(-9)} for row in rows], columns)
 
 
 def _flight(export: Export, origin: Origin, rows: Sequence[Rows], events: pa.Table) -> pa.Table:
@@ -252,7 +289,7 @@ def _flight(export: Export, origin: Origin, rows: Sequence[Rows], events: pa.Tab
     if start < YEAR_2000 <= last:  # the recorder got the time after a while
         start = last - round(length * 1e9)
     is_absolute = start >= YEAR_2000
-    said = [*export.complaints, *export.notes]
+    said = [*export.complaints, *export.notes, *export.said]
     if steps:
         times = count_of(len(steps), "time")
         said.append(f"the capture's clock was set {times}: times before and after do not compare")
@@ -264,4 +301,5 @@ def _flight(export: Export, origin: Origin, rows: Sequence[Rows], events: pa.Tab
     about |= {"options": " ".join(origin.tshark.options), "messages": sum(each.count for each in rows)}
     about |= {"faults": incidents(events), "partial": export.partial}
     about |= {"undecoded": export.undecoded or None, "left_out": "; ".join(said) or None}
-    return table_of([about], {each.name: each.type for each in columns_of({}, "flights").values()})
+    schema = pa.schema([(each.name, each.type) for each in columns_of({}, "flights").values()])
+    return pa.Table.from_pylist([about], schema)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import html
 import json
-import os
 import re
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -28,6 +27,7 @@ from .matrix import Matrix
 from .multiples import Multiples
 from .pictures import MARKS, Pictures, Record, packed
 from .records import TOGETHER, controllers
+from .scratch import write_whole
 from .sources import source_name
 
 VALUES = {"message": "message", "title": "field", "unit": "unit", "source": "source"}
@@ -239,16 +239,6 @@ def _values(flight: Flight) -> list[Record]:
         about |= {"title": column.title if column else row["field"], "unit": column.unit if column else ""}
         rows += [row | about] if row["min"] is not None else []
     return rows
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file, in place of one that is there: nobody ever reads half of it. Raises OSError."""
-    aside = path.with_name(f".{path.name}.part")
-    try:
-        aside.write_text(text, encoding="utf-8", newline="")
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def _index(found: list[Record]) -> str:

@@ -38,6 +38,16 @@ def scratch(parent: str | os.PathLike[str] | None = None, run: str = "") -> Iter
         raise SetupError(f"the disk is full: {error.filename or where}; free some space there{advice}") from error
 
 
+def write_whole(path: Path, text: str) -> None:
+    """Write a file, in place of one that is there: nobody ever reads half of it. Raises OSError."""
+    aside = path.with_name(f".{path.name}.part")
+    try:
+        aside.write_text(text, encoding="utf-8", newline="")
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
 def clean(parent: str | os.PathLike[str] | None = None, run: str = "") -> None:
     """Remove what this run left, and every run of this machine that is dead, or of another one a day ago."""
     for folder in Path(parent or tempfile.gettempdir()).glob("work-*-*-*-*"):

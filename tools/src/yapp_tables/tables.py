@@ -16,7 +16,6 @@ import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
 
 from .errors import SetupError
-from .scalars import repeated
 from .tshark import Export, Record, Tshark, left_out
 
 # The version of a data set, `schema` in the metadata of each table: raised when a column gets another name, type or
@@ -71,7 +70,7 @@ class Column:
     def arrow(self) -> pa.Field:
         """The Arrow field; its metadata name title, unit, display filter and the meanings of an enum's numbers."""
         unit = "ns" if self.type == DURATION else self.unit
-        about = {"title": self.title, "unit": unit, "filter": self.filter}
+        about = {"title": self.title, "unit": unit, "filter": self.filter, "role": self.role}
         if self.values:
             about["values"] = json.dumps(self.values, ensure_ascii=False)
         return pa.field(self.name, self.type, metadata={key: text for key, text in about.items() if text})
@@ -283,3 +282,8 @@ def plain(table: pa.Table) -> pa.Table:
     """Return a table without dictionaries, for formats and functions that know none."""
     fields = [field.with_type(pa.string()) if pa.types.is_dictionary(field.type) else field for field in table.schema]
     return table.cast(pa.schema(fields, metadata=table.schema.metadata))
+
+
+def repeated(text: str, count: int) -> pa.Array:
+    """Return a column of texts that are all this one."""
+    return pa.repeat(text, count).dictionary_encode() if count else pa.array([], KIND)

@@ -45,7 +45,7 @@ class Export:
 
     partial: tshark's reason where the capture is damaged; undecoded: a sentence on the messages that were not decoded;
     complaints: what the plugin leaves out for another reason: a preference that it cannot read, unreliable events;
-    notes: what else it says, of copies.
+    notes: what else it says, of copies; said: what this package says, of a bench.
     """
 
     folder: Path
@@ -55,6 +55,7 @@ class Export:
     complaints: tuple[str, ...] = ()
     undecoded: str = ""
     notes: tuple[str, ...] = ()
+    said: list[str] = field(default_factory=list)
 
     def csv(self, message: str) -> Path:
         """Where the rows of a message are, whether or not there are any."""
@@ -141,6 +142,15 @@ class Tshark:
         environment = self._environment()
         text = subprocess.run(first, capture_output=True, text=True, check=False, env=environment).stdout.strip()
         return int(Decimal(text).scaleb(9)) if re.fullmatch(r"\d+\.\d+", text) else None
+
+    def packets(self, capture: Path, names: Sequence[str]) -> list[tuple[str, ...]]:
+        """Return fields of the packets that end a message, ("yapp.id", ...): each combination once."""
+        command = [*self._reading(capture), "-Y", names[-1], "-T", "fields", "-E", "occurrence=l"]
+        for name in names:
+            command += ["-e", name]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, env=self._environment())
+        rows = dict.fromkeys(tuple(line.split("\t")) for line in done.stdout.splitlines())
+        return [row for row in rows if len(row) == len(names) and all(row[1:])]
 
     def _environment(self) -> dict[str, str]:
         own = {"YAPP_MESSAGES": os.path.abspath(self.catalogue)} if self.catalogue else {}

@@ -12,7 +12,6 @@ import pyarrow.compute as pc
 import pyarrow.parquet
 from pyarrow import csv as arrow_csv
 
-from .scalars import scalar
 from .tables import DURATION, KIND, Table
 
 ROW_GROUP = 100_000
@@ -57,7 +56,7 @@ def write_csv(tables: Sequence[Table], target: Target) -> None:
 def _cells(cells: pa.Array, type_: pa.DataType) -> pa.Array:
     """Return cells as CSV has them. A double has the nanoseconds of eleven days."""
     if cells.type == DURATION:
-        return pc.divide(cells.cast(pa.int64()).cast(pa.float64()), scalar(1e9))
+        return pc.divide(cells.cast(pa.int64()).cast(pa.float64()), 1e9)
     return cells.cast(type_)
 
 

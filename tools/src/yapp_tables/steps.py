@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Steps and operating points of a flight: how a controller answers a change of its command, what a hold costs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .follow import command_of
+from .runs import DEGREES, Samples
+from .series import Array
+
+Record = dict[str, Any]
+LEAST_STEP, HOLD, NEAR = 0.05, 0.5, 0.2  # share of the command's range; seconds; share of the step
+LEAST_POINT, SETTLED, LEVEL = 3.0, 1.0, 0.015  # seconds; seconds; share of the largest command
+BAND = 0.05  # of the step: what is inside has settled
+WHO = (
+    ("time", "time", "when the command changed, or the hold began, UTC", ""),
+    ("frame", "integer", "the message of the controller that comes next", ""),
+    ("bus", "string", "the bus or line; null where the capture names none", ""),
+    ("id", "id", "the message ID", ""),
+    ("controller", "string", "the name of the controller, or bus and ID", ""),
+    ("message", "string", "the message that has what was measured", ""),
+    ("field", "string", "what follows the command", ""),
+)
+STEPS = (
+    *WHO,
+    ("before", "number", "the command before, in the field's unit", ""),
+    ("after", "number", "the command from then on", ""),
+    ("hold", "number", "how long it stayed", "s"),
+    ("dead_time", "number", "until 10 % of the change were reached", "s"),
+    ("lag", "number", "until 63 %", "s"),
+    ("rise_time", "number", "from 10 % to 90 %", "s"),
+    ("overshoot", "number", "how far beyond the command, as a share of the change", ""),
+    ("settling_time", "number", "until it stayed within 5 % of the change, or its noise; null if it never did", "s"),
+    ("final_error", "number", "measured less commanded, mean of the last third of the hold", ""),
+    ("resolution", "number", "time between two messages: a time is known no better", "s"),
+)
+POINTS = (
+    *WHO,
+    ("command", "number", "the command, in the field's unit", ""),
+    ("length", "number", "how long it was held", "s"),
+    ("messages", "integer", "messages after the first second, of which the means are", ""),
+)
+
+
+def leads(found: Mapping[tuple[str, str], Samples]) -> list[Samples]:
+    """Return the messages that have a speed and its command, one for each controller."""
+    return [one for one in found.values() if one.speed() and len(one.times) > 10]
+
+
+def measured_names(one: Samples) -> tuple[list[str], list[str]]:
+    """Return the values whose means a point has, and those whose slopes."""
+    pair = one.speed()
+    means = [name for name in one.names("value", "A", "V", "W", "RPM") if not name.endswith(("_commanded", "_error"))]
+    if pair and pair[0] not in means:
+        means.append(pair[0])
+    return means, one.names("value", *DEGREES)
+
+
+def steps(found: Mapping[tuple[str, str], Samples]) -> Iterator[Record]:
+    """Yield a record for each change of a command of LEAST_STEP of its range after which it held."""
+    for one in leads(found):
+        pair = one.speed()
+        assert pair
+        when, told = _known(*command_of(found, one))
+        if not len(told):
+            continue
+        size = LEAST_STEP * (told.max() - told.min())
+        for at in np.flatnonzero(np.abs(np.diff(told)) > max(size, 1e-9)) + 1:
+            change = told[at] - told[at - 1]
+            moved = np.flatnonzero(np.abs(told[at:] - told[at]) > NEAR * abs(change))
+            end = when[at + moved[0]] if len(moved) else when[-1]
+            if end - when[at] >= HOLD:
+                yield _who(one, pair[0], when[at]) | _answer(one, pair[0], when[at], end, told[at - 1], told[at])
+
+
+def _known(when: Array, told: Array) -> tuple[Array, Array]:
+    good = np.isfinite(told)
+    return when[good], told[good]
+
+
+def _who(one: Samples, field: str, time: float) -> Record:
+    bus, number = next(iter(one.ids))
+    at = min(int(np.searchsorted(one.times, time)), len(one.times) - 1)
+    about = {"at": float(time), "frame": int(one.frames[at]), "bus": bus, "id": number}
+    return about | {"source": one.controller, "message": one.message, "field": field}
+
+
+def _answer(one: Samples, field: str, begin: float, end: float, before: float, after: float) -> Record:
+    """Measure a step, by the controller's clock where it has one: a recorder stamps late."""
+    use = (one.times >= begin - 3 * one.every) & (one.times <= end) & np.isfinite(one.columns[field])
+    times, values = one.times[use], (one.columns[field][use] - before) / (after - before)
+    clock = next(iter(one.names("clock")), "")
+    if clock and use.sum() > 2:
+        own = one.columns[clock][use]
+        steady = np.isfinite(own).all() and (np.diff(own) > 0).all()
+        times = own - np.median(own - times) if steady else times
+    times = times - begin
+    reached = [_crossing(times, values, share) for share in (0.1, 0.632, 0.9)]
+    record: Record = {"before": float(before), "after": float(after), "hold": float(end - begin)}
+    record |= {"dead_time": reached[0], "lag": reached[1], "resolution": float(one.every)}
+    record["rise_time"] = None if reached[0] is None or reached[2] is None else reached[2] - reached[0]
+    behind = times > 0
+    if not behind.any():
+        return record
+    record["overshoot"] = max(0.0, float(values[behind].max()) - 1)
+    last = times > (end - begin) * 2 / 3
+    # What the value does once it has settled is noise.
+    band = max(BAND, 3 * float(values[last].std())) if last.sum() > 4 else BAND
+    outside = np.flatnonzero(behind & (np.abs(values - 1) > band))
+    if not len(outside):
+        record["settling_time"] = 0.0
+    elif outside[-1] + 1 < len(times):
+        record["settling_time"] = float(times[outside[-1] + 1])
+    if last.sum() > 1:
+        record["final_error"] = float((values[last] - 1).mean() * (after - before))
+    return record
+
+
+def _crossing(times: Array, values: Array, share: float) -> float | None:
+    """Return when values reached a share first, on the line between two samples; at least 0."""
+    there = np.flatnonzero((values >= share) & (times >= 0))
+    if not len(there):
+        return None
+    at = int(there[0])
+    if at == 0 or values[at - 1] >= share:
+        return max(0.0, float(times[at]))
+    part = (share - values[at - 1]) / (values[at] - values[at - 1])
+    return max(0.0, float(times[at - 1] + part * (times[at] - times[at - 1])))
+
+
+def points(found: Mapping[tuple[str, str], Samples], bench: Mapping[str, Any] | None = None) -> Iterator[Record]:
+    """Yield a record for each hold of LEAST_POINT seconds: means behind the first second, slopes in 1/min.
+
+    bench: {"controller", "times", "columns"} of a thrust stand, with the times of the capture.
+    """
+    for one in leads(found):
+        pair = one.speed()
+        assert pair
+        when, told = _known(*command_of(found, one))
+        if not len(told):
+            continue
+        largest = float(np.abs(told).max())
+        for first, last in _holds(when, told, LEVEL * max(largest, 1e-9)):
+            use = (one.times >= when[first] + SETTLED) & (one.times <= when[last])
+            if use.sum() < 5:
+                continue
+            record = _who(one, pair[0], when[first]) | {"command": float(np.mean(told[first : last + 1]))}
+            record |= {"length": float(when[last] - when[first]), "messages": int(use.sum())}
+            means, slopes = measured_names(one)
+            for name in means:
+                record[name] = _mean(one.columns[name][use])
+            for name in slopes:
+                good = np.isfinite(one.columns[name][use])
+                if good.sum() > 4:
+                    line = np.polyfit(one.times[use][good] / 60, one.columns[name][use][good], 1)
+                    record[f"{name}_slope"] = float(line[0])
+            if bench and bench["controller"] == one.controller:
+                its = (bench["times"] >= when[first] + SETTLED) & (bench["times"] <= when[last])
+                record |= {name: _mean(values[its]) for name, values in bench["columns"].items()}
+            yield record
+
+
+def _holds(when: Array, told: Array, level: float) -> Iterator[tuple[int, int]]:
+    """Yield first and last index of each stretch in which a command stays within a level of its first value."""
+    first = 0
+    for at in range(1, len(told) + 1):
+        if at == len(told) or abs(told[at] - told[first]) > level or when[at] - when[at - 1] > LEAST_POINT:
+            if when[at - 1] - when[first] >= LEAST_POINT:
+                yield first, at - 1
+            first = at
+
+
+def _mean(values: Array) -> float | None:
+    good = values[np.isfinite(values)]
+    return float(good.mean()) if len(good) else None
+
+
+def point_columns(found: Mapping[tuple[str, str], Samples], bench: Sequence[str]) -> list[tuple[str, str, str, str]]:
+    """Return the columns of points besides POINTS: (name, type, meaning, unit)."""
+    columns: dict[str, tuple[str, str, str, str]] = {}
+    for one in leads(found):
+        means, slopes = measured_names(one)
+        for name in means:
+            columns[name] = name, "number", f"its mean: {one.about[name].get('title', name)}", one.about[name]["unit"]
+        for name in slopes:
+            unit, title = one.about[name]["unit"], one.about[name].get("title", name)
+            columns[f"{name}_slope"] = f"{name}_slope", "number", f"how fast it rose: {title}", f"{unit}/min"
+    return [*columns.values(), *((name, "number", "its mean, of the bench's log", "") for name in bench)]
