@@ -25,8 +25,8 @@ No, a damaged message is `missing`, too, and the lost share is `missing / (count
 Otherwise it is `(crc_bad + incomplete) / (count + crc_bad + incomplete)`.""",
     "statistics": "A row for each field of each source.",
     "steps": """\
-A row for each change of a command, by 5 % of its range or more, after which it held for 0.5 s. Times
-are by the controller's clock, on lines between two messages: `resolution` says how far apart these are.""",
+A row for each change of a command by 5 % of its range or more, if the command held for 0.5 s. Times
+are by the controller's clock, on lines between two messages. `resolution` is their distance.""",
     "points": """\
 A row for each hold of a command of 3 s or more: means after its first second, and how fast
 temperatures rose. `convert --with bench.csv` adds the means of a thrust stand's log as

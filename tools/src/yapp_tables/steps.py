@@ -42,7 +42,7 @@ POINTS = (
     *WHO,
     ("command", "number", "the command, in the field's unit", ""),
     ("length", "number", "how long it was held", "s"),
-    ("messages", "integer", "messages after the first second, of which the means are", ""),
+    ("messages", "integer", "how many messages are in the means", ""),
 )
 
 
