@@ -31,13 +31,10 @@ function M.new(capture)
   }, Copies)
 end
 
--- The latest messages of a source: entries { key, time, text }, used in a ring.  A message takes
--- the entry of the oldest one if that is too old, so most sources need one entry.
+-- The latest messages of a source: a list of { key, time, text }, oldest first.
 local function new_list(source)
   local message_type = source.type
   return {
-    oldest = 1, -- index of the entry to use next
-    by_text = {}, -- [text_of a message] = its entry
     distance = min(MAX_DISTANCE, (message_type and message_type.every or 1) / 2) - HALF_NANOSECOND,
     has_clock = message_type and message_type.time ~= nil or false,
     bus = source.line and "line" or source.bus_key or false,
@@ -50,27 +47,16 @@ local function text_of(message)
   return message.status == "bad" and text .. message.transfer.crc or text
 end
 
--- Keep a message that is no copy.
-local function keep(list, message, text)
-  local index = list.oldest
-  local entry = list[index]
-  if not entry or #list < MAX_KEPT and abs(message.time - entry.time) < list.distance then
-    entry = {}
-    table.insert(list, index, entry)
-  elseif list.by_text[entry.text] == entry then
-    list.by_text[entry.text] = nil
+-- Find the original of a message among the latest ones of its source.
+-- returns  its frame key; nil for a message that is no copy
+local function find_in(self, list, time, text)
+  for _, kept in ipairs(list) do
+    if kept.text == text and abs(time - kept.time) < list.distance then
+      if not self.capture:is_time_real(time) then return nil end
+      if list.has_clock then self.are_doubled[list.bus] = true end
+      return self.are_doubled[list.bus] and kept.key or nil
+    end
   end
-  entry.key, entry.time, entry.text = message.key, message.time, text
-  list.by_text[text] = entry
-  list.oldest = index % #list + 1
-end
-
--- Return whether a message is a copy of another one with the same bytes.
-local function is_copy(self, list, message, equal)
-  local time, are_doubled = message.time, self.are_doubled
-  local is_near = abs(time - equal.time) < list.distance and self.capture:is_time_real(time)
-  if is_near and list.has_clock then are_doubled[list.bus] = true end
-  return is_near and are_doubled[list.bus] or false
 end
 
 --- Find the original of a message, in the order of the capture.
@@ -80,19 +66,24 @@ end
 -- returns       frame key of the message that it is a copy of; nil if it is none
 function Copies:find(message, visited, is_only_pass)
   if visited then return self.originals[message.key] end
-  local list, text = self.by_source[message.source], text_of(message)
+  local list, time, text = self.by_source[message.source], message.time, text_of(message)
   if not list then
     list = new_list(message.source)
     self.by_source[message.source] = list
   end
-  local equal = list.by_text[text]
-  local original = equal and is_copy(self, list, message, equal) and equal.key or nil
+  local original = find_in(self, list, time, text)
   -- A read filter may have dropped a copy whose number this packet has.
   if not is_only_pass and original ~= self.originals[message.key] then
     self.originals[message.key] = original
   end
-  if not original then keep(list, message, text) end
-  return original
+  if original then return original end
+  local entry
+  while list[1] and (abs(time - list[1].time) >= list.distance or #list == MAX_KEPT) do
+    entry = table.remove(list, 1)
+  end
+  entry = entry or {}
+  entry.key, entry.time, entry.text = message.key, time, text
+  list[#list + 1] = entry
 end
 
 return M

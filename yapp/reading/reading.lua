@@ -25,7 +25,6 @@ local streams = require "yapp.serial.stream"
 local M = {}
 
 local BUS, START = can_id.BUS, can_id.START
-local sub = string.sub
 local LOST = { { expert = "fragment.incomplete", text = "" } } -- of a message without an End
 
 local Reading = {}
@@ -119,39 +118,37 @@ function Reading:recall(can_frame)
   return new_frame_result(self, can_frame, kind, transfer, anomalies, index)
 end
 
--- Return the messages that data may be, as { [CAN CTRL] = payload size }: that of a Start, or one
--- of the catalogue that fits into a single frame.
-local function possible_sizes(self, data)
-  local sizes, _, size, reserved = {}, can_id.start(data)
-  if #data == 8 and reserved == 0 and size > 8 then sizes[START] = size end
-  for _, message in ipairs(self.types.messages) do
-    size = can_id.single_size(data, #data, message.min_size, message.size)
-    if size and decode.is_plausible(message, sub(data, 1, size)) then sizes[0] = size end
-  end
-  return sizes
+-- Return the payload size that a Start says; nil if it may be none.
+local function start_size(data)
+  local _, size, reserved = can_id.start(data)
+  return #data == 8 and reserved == 0 and size > 8 and size or nil
 end
 
--- Return the payload size that a frame has as a message that is not dissected; nil for none.
-local function undissected_size(self, fields, source, data)
-  local message, size = source.type, possible_sizes(self, data)[fields.ctrl]
-  if fields.ctl ~= 0 then return message and size or nil end
-  local is_longer = fields.ctrl == 0 and message and #data > message.size
-  if is_longer and decode.is_plausible(message, sub(data, 1, message.size)) then return #data end
-  return size
+-- Return the payload size of the message that a single frame may be; nil for none.
+-- message_type  of its ID, or nil
+local function single_size(self, message_type, data)
+  for _, one in ipairs(self.types.messages) do
+    local size = can_id.single_size(data, #data, one.min_size, one.size)
+    if size and decode.is_plausible(one, data:sub(1, size)) then return size end
+  end
+  local size = message_type and message_type.size or #data
+  return #data > size and decode.is_plausible(message_type, data:sub(1, size)) and #data or nil
 end
 
 --- Report a frame that is not dissected, if it may be a message or begin one:
 --   of an unknown ID
 --   of a known ID, with a YAPP CTL other than 0
 --   of a known ID, with bytes behind its values
--- of_frame  see reading.records
-function Reading:report_undissected(of_frame)
-  local fields = of_frame.can_id
-  local source = self.sources[of_frame.bus][fields.id]
-  local size = undissected_size(self, fields, source, of_frame.data)
+-- can_frame  see reading.records
+function Reading:report_undissected(can_frame)
+  local fields = can_frame.can_id
+  local source, data, size = self.sources[can_frame.bus][fields.id], can_frame.data, nil
+  if fields.ctl ~= 0 and not source.type then return end
+  if fields.ctrl == START then size = start_size(data) end
+  if fields.ctrl == 0 then size = single_size(self, source.type, data) end
   if not size then return end
-  of_frame.source = source
-  local result = records.new_result("undissected", of_frame)
+  can_frame.source = source
+  local result = records.new_result("undissected", can_frame)
   result.length = size
   report(self, result)
 end
