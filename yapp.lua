@@ -52,12 +52,13 @@ local stat_names = require "yapp.stat.names"
 
 -- Captures without YAPP need none of these.
 local can_dissector = later "yapp.host.can"
-local packet_menu = later "yapp.show.packet_menu"
+local show_menu = later "yapp.show.menu"
 local reading_of = later "yapp.reading.reading"
 local stream_dissector = later "yapp.host.stream"
 local show_frame = later "yapp.show.frame"
 local show_packet = later "yapp.show.packet"
-local show_tree = later "yapp.show.tree"
+local show_taurus = later "yapp.show.taurus"
+local show_wants = later "yapp.show.wants"
 local stat_taps = later "yapp.stat.taps"
 
 -- The user's own messages follow the plugin's.  They come from yapp_messages.lua in Wireshark's
@@ -152,12 +153,12 @@ end
 local settings = { version = VERSION, catalogue = catalogue, accepts_all = false }
 
 -- The objects that read and show YAPP; nil until something needs them, see make_reading.
-local reading, builder, frames, streams
+local reading, wants, frames, streams
 local stat -- the same of statistics, see make_statistics
 
 local function reset_reading()
   reading:reset { late = settings.late, catalogue = catalogue, buses = buses }
-  builder:reset()
+  wants:reset()
   frames:reset()
   streams:reset()
 end
@@ -182,25 +183,24 @@ end
 function make_reading()
   if streams then return end
   -- Nothing calls this dissector, as YAPP shows the Taurus messages.  It must exist, because the
-  -- API asks by dissector whether a protocol is wanted (see show.tree).  When Wireshark ends, it
+  -- API asks by dissector whether a protocol is wanted (see show.wants).  When Wireshark ends, it
   -- looks for each dissector of ours in all its tables, so a start takes longer with more of them.
   function taurus.dissector() return 0 end
   reading = reading_of.new(types, buses, register_start)
-  builder = show_tree.new {
+  wants = show_wants.new(catalogue.messages, taurus_fields)
+  local options = {
     yapp = yapp,
-    taurus = taurus,
-    catalogue = catalogue,
-    reading = reading,
     fields = yapp_fields,
-    taurus_fields = taurus_fields,
+    taurus = show_taurus.new(taurus, taurus_fields),
+    messages = catalogue.messages,
     names = default_names,
   }
-  frames = can_dissector.new(reading, show_frame.new(builder), builder, buses, settings,
+  frames = can_dissector.new(reading, show_frame.new(options), wants, buses, settings,
     headers)
   streams = stream_dissector.new {
     reading = reading,
-    view = show_packet.new(builder),
-    builder = builder,
+    view = show_packet.new(options),
+    wants = wants,
     buses = buses,
     tcp_header = tcp_header,
     usb_header = usb_header,
@@ -315,7 +315,7 @@ local function make_statistics()
   make_reading()
   stat = stat_taps.new {
     settings = settings,
-    builder = builder,
+    wants = wants,
     buses = buses,
     reading = reading,
     find_options = find_options,
@@ -409,7 +409,7 @@ register_stat_cmd_arg("yapp", begin_statistic) -- the longest name that fits is 
 if gui_enabled() then
   make_statistics()
   stat:register_menus()
-  packet_menu.register(yapp.prefs, catalogue)
+  show_menu.register(yapp.prefs, catalogue)
 end
 for name, proto in pairs {
   ["can.subdissector"] = all,

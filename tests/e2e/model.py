@@ -206,8 +206,7 @@ def generated_filters():
         whole = [kind[0] for _, size, kind in flags if kind.faults == 2 ** (8 * size) - 1]
         for group in (whole or [kind[0] for _, _, kind in flags if kind.faults])[:1]:
             names |= {f"{path}.{group}.active_time": "RELATIVE_TIME", f"{path}.{group}.previous_change": "FRAMENUM",
-                      f"{path}.{group}.next_change": "FRAMENUM", f"{path}.{group}.raised_in": "FRAMENUM",
-                      f"{path}.{group}.cleared_in": "FRAMENUM", f"{path}.{group}.active_names": "STRING"}
+                      f"{path}.{group}.next_change": "FRAMENUM"}
     return names
 
 

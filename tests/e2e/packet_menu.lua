@@ -3,7 +3,7 @@
 if not os.getenv("YAPP_MENU") then return end -- run by Wireshark, in a plugin folder
 
 package.path = "" -- the plugin finds its modules: no others, such as those of the folder where the tests run
-local packet_menu = require("yapp.show.packet_menu")
+local show_menu = require("yapp.show.menu")
 
 local items, new_listener, copies = {}, Listener.new, {}
 _G.register_packet_menu = function(title, act) items[title:match("/(.*)$")] = act end
@@ -14,7 +14,7 @@ _G.retap_packets = coroutine.yield -- until all packets have been read
 -- Wireshark puts a function that fails in the place of register_menu when all scripts are loaded.
 local function register(...)
   _G.register_menu = function(title, act) items[title:match("/(.*)$")] = act end
-  packet_menu.register(...)
+  show_menu.register(...)
 end
 
 local function new_tap(...)
@@ -36,26 +36,21 @@ register_stat_cmd_arg("yappmenu,copy", function()
   end
 end)
 
--- -z yappmenu,decode: all unknown IDs that have the size of Motor Data; yappmenu,all: of any message
-for argument, title in pairs {
-  decode = "Decode all IDs of this size as Motor Data",
-  all = "Decode unknown IDs by size",
-} do
-  register_stat_cmd_arg("yappmenu," .. argument, function()
-    local fault = { filter = "taurus.motor.fault_flags" }
-    local motor = { name = "motor", title = "Motor Data", alarms = {}, fault_field = fault }
-    local health = { name = "health", title = "Health", alarms = {} }
-    register({ motor_ids = "0x300", health_ids = "0x301" }, { messages = { motor, health } })
-    _G.Listener = { new = new_tap }
-    _G.set_preference = function(name, value) io.write(name, ":", value, "\n") end
-    _G.apply_preferences, _G.redissect_packets = function() end, function() end
-    _G.report_failure = function(text) io.write(text, "\n") end
-    local decode = coroutine.wrap(items[title])
-    decode()
-    local last = new_listener("frame")
-    function last.draw() decode() end
-  end)
-end
+-- -z yappmenu,all: all unknown IDs that have the size of a message
+register_stat_cmd_arg("yappmenu,all", function()
+  local fault = { filter = "taurus.motor.fault_flags" }
+  local motor = { name = "motor", title = "Motor Data", alarms = {}, fault_field = fault }
+  local health = { name = "health", title = "Health", alarms = {} }
+  register({ motor_ids = "0x300", health_ids = "0x301" }, { messages = { motor, health } })
+  _G.Listener = { new = new_tap }
+  _G.set_preference = function(name, value) io.write(name, ":", value, "\n") end
+  _G.apply_preferences, _G.redissect_packets = function() end, function() end
+  _G.report_failure = function(text) io.write(text, "\n") end
+  local decode = coroutine.wrap(items["Decode unknown IDs by size"])
+  decode()
+  local last = new_listener("frame")
+  function last.draw() decode() end
+end)
 
 -- -z yappmenu,needs: which field each item that filters needs
 register_stat_cmd_arg("yappmenu,needs", function()

@@ -148,6 +148,8 @@ def wanted_of_messages(name):
         known = model.MESSAGES.get(message["id"])
         if known and sum(size for _, size, _ in known[2]) <= len(message["payload"]):
             fields, experts = model.decode(message["id"], message["payload"])
+        if message["wrong_crc"]:  # a damaged message has no fault
+            experts = [expert for expert in experts if expert != "taurus.fault.active"]
         by_frame.setdefault(message["frame"], []).append((message, fields, experts))
     return by_frame
 
@@ -405,7 +407,7 @@ INFO = [
     ("document_motor", 5, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"),
     ("document_command", 1, "Command  Enabled, No Regeneration Allowed  Speed Mode  750.8 RPM  0.50 A"),
     ("health", 4, "Health  control 50 %, Taurus 20 %  CPU 50 °C, FET 40 °C"),
-    ("bad_crc_can", 5, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  [BAD CRC]"),
+    ("bad_crc_can", 5, "BAD CRC  Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"),
     ("lost_middle", 4, "Motor Data  24 of 32 bytes  [INCOMPLETE]"),
     ("extra_middle", 4, "Motor Data  duplicate fragment  [Reassembled in #6]"),
     ("extra_middle", 6, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"),
@@ -480,7 +482,7 @@ def test_tree_of_a_reserved_count(folder, special):
 
 
 def test_what_an_unknown_id_is_like(folder):
-    """By its size; a display filter finds the ID.  The first message of each says in Info which preference decodes it."""
+    """By its size; a display filter finds the ID.  The tree has the whole preference that decodes it."""
     path, sizes = folder / "like.pcap", {"command": 7, "health": 17, "motor": 32}
     path.write_bytes(make.pcap(make.Source("".join(f"can0 [{0x123 + index:x} {bytes(size).hex()}]\n"
                                                    for index, size in enumerate(sizes.values())) * 2)))
@@ -489,8 +491,12 @@ def test_what_an_unknown_id_is_like(folder):
     shown = tshark.run("-r", path, "-o", "yapp.all_extended:TRUE", "-o", 'gui.column.format:"Info","%i"', "-Y", "yapp.id.unknown").stdout
     texts = [f"ID {0x123 + index:#x}  {size} bytes, the size of {model.MESSAGES[ident][1]}"
              for index, (ident, size) in enumerate(((model.COMMAND, 7), (model.HEALTH, 17), (model.MOTOR, 32)))]
-    advice = [f': see the preference "{model.MESSAGES[ident][1]} message IDs"' for ident in (model.COMMAND, model.HEALTH, model.MOTOR)]
-    assert [line.strip().split("  [copy of")[0] for line in shown.splitlines()] == [*map(str.__add__, texts, advice), *texts]
+    assert [line.strip().split("  [copy of")[0] for line in shown.splitlines()] == texts * 2
+    tree = tshark.run("-r", path, "-o", "yapp.all_extended:TRUE", "-O", "yapp").stdout
+    for name, ident, index in ("command", "0", 0), ("health", "512", 1), ("motor", "528", 2):
+        option = f"yapp.{name}_ids:{ident},{0x123 + index:#x}"
+        assert f"-o {option} decodes it" in tree
+        assert tshark.run("-r", path, "-o", option, "-Y", f"taurus.{name}").stdout
 
 
 def test_rounded_values():

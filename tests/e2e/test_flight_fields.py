@@ -33,7 +33,7 @@ class Truth:
 
     def __init__(self, flight, form):
         self.flight, self.form, self.frames = flight, form, collections.defaultdict(dict)
-        self.ends, self.fault_frames, self.maybe = set(), set(), set()  # maybe: other frames of messages with a bad CRC
+        self.ends, self.fault_frames = set(), set()
         self.commands, self.shared = collections.defaultdict(list), {}  # shared: frame: messages of its source before it
         for sender, messages, is_shared in flight.sources():
             if sender.kind == "command":
@@ -51,10 +51,6 @@ class Truth:
             if message.is_good:
                 self.good(sender, message, before, state)
                 before = message
-            elif message.fate == "crc" and not message.cut:
-                self.faulty(message, message.frames[-1:])
-                if self.has_fault(message):
-                    self.maybe.update(frame.number for frame in message.frames)
         for number, following in zip(state["changes"], state["changes"][1:]):
             self.frames[number]["taurus.motor.fault.next_change"] = following
         self.after_changes(messages, state["changes"])
@@ -192,7 +188,7 @@ def test_fields(folder, seed, passes):
     assert list(differences(truth, rows, passes, knows_all))[:5] == []
     ends = {message.frames[-1].number for sender in flight.senders for message in sender.messages if message.frames}
     with_fault = truth.fault_frames if passes else truth.fault_frames & ends
-    assert frames_with(rows, "yapp.message.fault") - truth.maybe == with_fault - truth.maybe
+    assert frames_with(rows, "yapp.message.fault") == with_fault
     planted = {line["frame"] for line in flight.truth(form)["events"] if line["kind"] == "unfinished"}
     unfinished = frames_with(rows, "yapp.unfinished")
     assert unfinished == (planted if passes else set()) or not knows_all and unfinished <= planted
@@ -220,7 +216,7 @@ def test_the_comparison_sees_each_field(folder):
 
 def test_each_field_that_is_worked_out_is_compared():
     """Here; elsewhere stands what test_captures.py and test_experts.py compare."""
-    elsewhere = {"rounded", "names", "undefined", "raised_in", "cleared_in", "active_names", "dc_power"}
+    elsewhere = {"rounded", "names", "undefined", "dc_power"}
     here = {name for name in model.generated_filters() if name.rpartition(".")[2] not in elsewhere}
     here -= {"taurus.health.status.raised", "taurus.health.status.cleared"}
     of_yapp = {"yapp.bus", "yapp.source", "yapp.time_delta", "yapp.seq.missing", "yapp.message.fault", "yapp.unfinished"}

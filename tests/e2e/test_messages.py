@@ -312,7 +312,7 @@ def test_a_firmware_that_appends_fields(folder, passes):
         assert well[3:] == ["00", "1", "", info.format("cleared motor_overcurrent  ", where, "  STALE", 33, 1)], link
         assert bad[:4] == ["", "", "", ""], link
         if link == "can":  # in a stream it is no frame
-            assert bad[4:] == ["1", f"{FAULTY}deadbeef".lower(), f"Motor Data{where}, 36 bytes, the catalogue says 32  [BAD CRC]"]
+            assert bad[4:] == ["1", f"{FAULTY}deadbeef".lower(), f"BAD CRC  Motor Data{where}, 36 bytes, the catalogue says 32"]
         assert short[:5] == ["", "", "", "", "1"] and short[5] == MOTOR[:62].lower(), link
     found = [json.loads(line) for line in tshark.run("-q", *passes, "-r", path, "-z", "yapp,faults,json").stdout.splitlines()]
     assert [(one["frame"], one["event"]) for one in found] == [
@@ -339,7 +339,7 @@ def test_one_entry_for_two_firmwares(folder):
     for link, frames in zip(LINKS, ends):
         old, new, between, short, longer, bad = [rows[number - 1] for number in frames]
         assert old[:4] == between[:4] == bad[:4] == ["47.97314", "", "", ""], link
-        assert old[4].endswith("47.97 V  -") and bad[4].endswith("47.97 V  -  [BAD CRC]"), link
+        assert old[4].endswith("47.97 V  -") and bad[4].startswith("BAD CRC  Motor Data") and bad[4].endswith("47.97 V  -"), link
         assert new[:4] == ["47.97314", "5", "5", ""] and new[4].endswith("47.97 V  5"), link
         assert short[:4] == ["", "", "", ""] and short[4].endswith(", 31 bytes, the catalogue says 32 to 36"), link
         assert longer[:4] == ["47.97314", "5", "5", "09"] and longer[4].endswith("47.97 V  5  [37 bytes, 1 not decoded]"), link

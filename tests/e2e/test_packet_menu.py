@@ -54,15 +54,6 @@ def test_copy_as_candump(tmp_path):
         "08000000##000CA9A3B000000007D325A465019640103000000", "00000000##0015A014F80F380"]
 
 
-def test_decode_all_ids_of_this_size():
-    """In one step; the flight has two controllers with the same ID, on two buses, and Health of another size."""
-    shown = menu(tshark.ROOT / "docs/flight.pcapng", "-o", "yapp.motor_ids:0x300", "-z", "yappmenu,decode")
-    assert shown.splitlines() == ["yapp.motor_ids:0x300,528"]
-    several = tshark.run("-q", "-r", tshark.ROOT / "docs/flight.pcapng", "-o", "yapp.motor_ids:0x300", "-o", "yapp.health_ids:0x300",
-                         "-X", f"lua_script:{SCRIPT}", "-z", "yappmenu,decode", env={"YAPP_MENU": "-"})
-    assert several.stdout.splitlines() == ["yapp.motor_ids:0x300,528"]
-
-
 def test_decode_unknown_ids_by_size():
     """In Tools, which 4.0 has, too: all messages at once; where there are none it says so."""
     flight = tshark.ROOT / "docs/flight.pcapng"

@@ -180,6 +180,17 @@ def test_several_controllers_are_no_average_and_no_zigzag():
     assert {row[5] for row in uat("plots")} == {"Dot", "Plus"}
 
 
+def test_a_damaged_message_is_no_value_and_no_fault(home):
+    """Buttons and graphs of values leave it out; no rule colours its faults."""
+    rows = [row[2] for row in uat("dfilter_buttons") if re.search("taurus.command|taurus.value", row[2])]
+    rows += [row[2] for row in uat("io_graphs") if row[6]] + [row[3] for row in uat("plots")]
+    assert len(rows) == 17 and all("!yapp.crc.bad" in text for text in rows)
+    events = tshark.CAPTURES / "can/events.pcap"
+    row, = run(home, "--color", "-r", events, "-Y", "yapp.crc.bad", "-T", "fields", "-e", "taurus.motor.fault_flags", "-e",
+               "taurus.fault.active", "-e", "yapp.message.fault", "-e", "frame.coloring_rule.name").stdout.splitlines()
+    assert row.split("\t") == ["0xffffffff", "", "", "YAPP bad CRC"]
+
+
 COLOURED = {"bad_crc_can": "YAPP bad CRC", "lost_middle": "YAPP incomplete or stray",
             "end_without_start": "YAPP incomplete or stray", "middle_without_start": "YAPP incomplete or stray",
             "unknown_id": "YAPP not decoded", "document_motor": "YAPP fragment", "invalid_key": "YAPP command ignored",

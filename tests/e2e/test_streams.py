@@ -39,7 +39,7 @@ FIELDS = ["frame.number", INFO, "_ws.lua.error", "yapp", *(f"yapp.{name}" for na
     "id", "seq", "ctl", "size", "sync", "crc", "crc.status", "payload", "undecoded", "skipped", "fragment.data", "fragment",
     "fragment.count", "reassembled.in", "reassembled.length", "reassembled.data", "time_delta", *EXPERTS]), *TAURUS]
 LABELS = {"good": "CRC good", "bad": "CRC BAD", "incomplete": "incomplete"}
-ENDS = {"good": "", "bad": "  [BAD CRC]", "incomplete": "  [INCOMPLETE]"}
+ENDS = {"good": "", "bad": "", "incomplete": "  [INCOMPLETE]"}
 PASSES = {"one pass": [], "-2": ["-2"], "-2 -Y": ["-2", "-Y", "yapp"]}
 SOME_PASSES = list(PASSES.values())[:levels.size(2, 3)]
 
@@ -103,14 +103,15 @@ def info(packet, event):
         return f"Skipped {counted(event.data)}{quoted(event.data)}"
     bus = packet.bus
     source = f" ({bus})" if bus else ""
+    damage = "BAD CRC  " * (event.kind == "bad")
     known = model.MESSAGES.get(event.ident)
     if known:
         name = f"{known[1]} 0x{event.ident:x}{source}" if bus else known[1]
-        if event.ident == model.MOTOR and event.kind != "incomplete" and (fits(event) or is_longer(event)):
+        if event.ident == model.MOTOR and event.kind == "good" and (fits(event) or is_longer(event)):
             name = faults(event.payload) + name
-        return name if fits(event) or is_longer(event) else f"{name}, {counted(event.payload)}, the catalogue says"
+        return damage + (name if fits(event) or is_longer(event) else f"{name}, {counted(event.payload)}, the catalogue says")
     is_truncated = event.kind == "incomplete" and event is packet.events[-1] and packet.captured < len(packet.data)
-    return f"ID 0x{event.ident:x}{source}  {counted(event.payload)}{'  [TRUNCATED]' if is_truncated else ENDS[event.kind]}"
+    return f"{damage}ID 0x{event.ident:x}{source}  {counted(event.payload)}{'  [TRUNCATED]' if is_truncated else ENDS[event.kind]}"
 
 
 def label(event):

@@ -226,7 +226,7 @@ local function new_frames()
     return said.recalled
   end, report_undissected = function(_, frame) seen.undissected = frame end }
   local wants = { shows = false, tree = false, columns = false, state = "state", is_only_pass = "only" }
-  local builder = { wanted = wants, wants = function(_, _, _, visited)
+  local asker = { first_pass = wants, ask = function(_, _, _, visited)
     seen.asked = visited
     return wants
   end }
@@ -234,7 +234,7 @@ local function new_frames()
     bus_of = function(number) return ("bus %d"):format(number), "is known" end }
   local view = { show = noted "show", show_without_id = noted "show_without_id" }
   local settings = { accepts_all = false }
-  local frames = require("yapp.host.can").new(reading, view, builder, buses, settings, headers)
+  local frames = require("yapp.host.can").new(reading, view, asker, buses, settings, headers)
   frames:reset()
   local function reset() frames:reset() end
   return frames, { reset = reset, reading = reading, wants = wants, buses = buses, settings = settings }

@@ -140,8 +140,7 @@ function T.test_types_of_filters()
     d = "DOUBLE", ["d.special"] = "UINT8", s = "STRING", y = "BYTES", c = "DOUBLE", w = "UINT64", g = "UINT32 HEX",
     ["g.names"] = "STRING", ["x.hot"] = "BOOLEAN 32 8", ["x.undefined"] = "UINT32 HEX", ["x.raised"] = "UINT32 HEX",
     ["x.cleared"] = "UINT32 HEX", ["x.active_time"] = "RELATIVE_TIME", ["x.previous_change"] = "FRAMENUM",
-    ["x.next_change"] = "FRAMENUM",
-    ["x.raised_in"] = "FRAMENUM", ["x.cleared_in"] = "FRAMENUM", ["x.active_names"] = "STRING" })
+    ["x.next_change"] = "FRAMENUM" })
 end
 
 function T.test_digits_for_columns()

@@ -339,18 +339,6 @@ function T.test_links_to_the_changes_before_and_after()
   lu.assertNil(h:state(motor(20, 2, { source = "nobody" })))
 end
 
--- From the first fault to none, whatever changes between.
-function T.test_links_to_where_the_time_with_a_fault_begins_and_ends()
-  local messages = { motor(10, 1), motor(20, 2, { fault = 1 }), motor(30, 3, { fault = 3 }),
-    motor(40, 4, { fault = 2, status = 1 }), motor(50, 5), motor(60, 6), motor(70, 7, { fault = 1 }),
-    motor(80, 8, { fault = 1 }) }
-  local begins, h = run(messages, "raised_in")
-  lu.assertEquals(begins, { "-", 20, 20, 20, 20, "-", 70, 70 })
-  local ends = {}
-  for i, m in ipairs(messages) do ends[i] = h:state(m).cleared_in or "-" end
-  lu.assertEquals(ends, { "-", 50, 50, 50, 50, "-", "-", "-" })
-end
-
 function T.test_the_latest_command_on_the_bus()
   local messages = { motor(1, 1, { bus = 1 }), command(2, 2, 1), motor(3, 3, { bus = 1 }),
     motor(4, 4, { bus = 2, source = 2 }), command(5, 5, 2), command(6, 5, nil), motor(7, 6, { bus = 1 }),

@@ -107,8 +107,9 @@ local function set_modules()
     ["yapp.show.fields"] = module("fields", { EXPERT_NAMES = { ["command.key.invalid"] = true } }),
     ["yapp.show.frame"] = maker("frame view", {}),
     ["yapp.show.packet"] = maker("packet view", {}),
-    ["yapp.show.tree"] = maker("tree", stand_in("builder")),
-    ["yapp.show.packet_menu"] = module("packet_menu"),
+    ["yapp.show.taurus"] = maker("taurus view", {}),
+    ["yapp.show.wants"] = maker("wants", stand_in("wants")),
+    ["yapp.show.menu"] = module("show_menu"),
     ["yapp.stat.taps"] = maker("taps", stand_in("stat")),
   }
   for name, stand in pairs(stands) do package.loaded[name] = stand end
@@ -368,7 +369,7 @@ function T.test_another_file()
   local types = seen.made.reading[1]
   lu.assertTrue(types.has_several)
   lu.assertEquals(calls_of("reset$"),
-    { "headers.reset", "stat.reset", "reading.reset", "builder.reset", "frames.reset", "streams.reset" })
+    { "headers.reset", "stat.reset", "reading.reset", "wants.reset", "frames.reset", "streams.reset" })
   local options = seen.arguments["reading.reset"][1]
   lu.assertEquals({ options.late, options.catalogue == seen.catalogue, options.buses ~= nil }, { 2.5, true, true })
   said["buses.are_several"] = false
@@ -449,8 +450,8 @@ end
 function T.test_in_windows()
   local protos = load(true)
   lu.assertEquals(#calls_of("stat.register_menus"), 1)
-  lu.assertIs(seen.arguments["packet_menu.register"][1], protos.yapp.prefs)
-  lu.assertIs(seen.arguments["packet_menu.register"][2], seen.catalogue)
+  lu.assertIs(seen.arguments["show_menu.register"][1], protos.yapp.prefs)
+  lu.assertIs(seen.arguments["show_menu.register"][2], seen.catalogue)
   seen.made.taps[1].watch()
   lu.assertEquals(protos.yapp_serial.heuristics, {}, "only the preference and the file decide")
 end

@@ -84,7 +84,7 @@ end
 -- A firmware that appended something: what the catalogue knows counts, the next message is clean.
 function T.test_a_longer_payload()
   local m = read(MOTOR, { [at(MOTOR, "fault_flags")] = 1 }, { size = 36 })
-  lu.assertEquals({ m.raws[MOTOR.by_name.fault_flags.index], m.remarks.has_fault, m.undecoded }, { 1, true, 4 })
+  lu.assertEquals({ m.raws[MOTOR.by_name.fault_flags.index], m.has_fault, m.undecoded }, { 1, true, 4 })
   lu.assertFalse(read(MOTOR).undecoded)
 end
 
@@ -166,25 +166,10 @@ function T.test_what_is_a_fault()
   local fault, status, state = at(MOTOR, "fault_flags"), at(MOTOR, "status_flags"), at(MOTOR, "motor_state")
   for _, row in ipairs { { {}, false }, { { [fault] = 1 }, true }, { { [fault + 2] = 0x08 }, true }, -- undefined
     { { [status] = 2 }, false }, { { [state] = 0x1F }, false }, { { [state] = 0x20 }, true } } do
-    lu.assertEquals(read(MOTOR, row[1]).remarks.has_fault or false, row[2])
+    lu.assertEquals(read(MOTOR, row[1]).has_fault or false, row[2])
   end
-  lu.assertNil(read(COMMAND).remarks.has_fault) -- a key that is none
-end
-
--- The first unknown message of an ID with a known size gets the whole advice, also on a revisit.
-function T.test_what_an_unknown_message_is_like()
-  local messages = messages_of.new(new_types(), history_of({ delta = 1 }, {}), copies_of())
-  local function like(with)
-    with.messages = messages
-    local m = read(MOTOR, {}, with)
-    return m.like and { m.like.type.name, m.like.is_advised }
-  end
-  lu.assertEquals(like { id = 0x123, key = 7 }, { "motor", true })
-  lu.assertEquals(like { id = 0x123, key = 7, visited = true }, { "motor", true })
-  lu.assertEquals(like { id = 0x123, key = 8 }, { "motor", false })
-  lu.assertEquals(like { id = 0x124, size = 5 }, false)
-  lu.assertEquals(like { id = 0x124, status = "bad" }, false)
-  lu.assertEquals(like {}, false) -- it is known
+  lu.assertFalse(read(MOTOR, { [fault] = 1 }, { status = "bad" }).has_fault)
+  lu.assertFalse(read(COMMAND).has_fault) -- a key that is none
 end
 
 return T

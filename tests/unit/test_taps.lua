@@ -79,7 +79,7 @@ local function new_stat(is_gui)
   local parts = {
     settings = { catalogue = { messages = {}, by_name = {} }, version = "1" },
     buses = buses, reading = reading, headers = headers,
-    builder = stand_in("builder", { wanted = "wanted" }),
+    wants = stand_in("wants", { first_pass = "wanted" }),
     calls = { begun = 0, ended = 0 },
     frames = { is_second_pass = function() return wireshark.is_second_pass end },
     find_options = function() return { "-d some" }, { "-d certain" }, 5 end,
@@ -108,7 +108,7 @@ end
 
 function T.setUp()
   seen = { taps = {}, order = {}, packets = {}, resets = 0, watched = 0, stderr = {}, stdout = {}, folders = {},
-    buses = {}, reading = {}, headers = {}, builder = {} }
+    buses = {}, reading = {}, headers = {}, wants = {} }
   wireshark = { packets = PACKETS, code = 0, texts = {}, options = {}, later_files = 0 }
   _G.Listener = { new = new_tap }
   _G.Dir = { make = function(path) table.insert(seen.folders, path) end, exists = function() return false end }
@@ -167,7 +167,7 @@ end
 function T.test_the_exact_time_is_that_of_the_first_packet()
   window():run("yapp,faults")
   lu.assertEquals(seen.begins, { 17, 5 })
-  lu.assertEquals(seen.builder, {}, "Wireshark may revisit all packets")
+  lu.assertEquals(seen.wants, {}, "Wireshark may revisit all packets")
 end
 
 function T.test_why_an_answer_is_incomplete()
@@ -368,12 +368,12 @@ function T.test_the_only_pass()
   parts.headers.waiting = true
   parts:begin("yapp,faults")
   read_packets()
-  lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.headers, "on_packet") }, { 1, PACKETS })
+  lu.assertEquals({ count_of(seen.wants, "set_only_pass"), count_of(seen.headers, "on_packet") }, { 1, PACKETS })
   lu.assertEquals({ count_of(seen.headers, "use_taps"), parts.calls.begun, parts.calls.ended }, { 1, PACKETS, PACKETS })
   T.setUp()
   wireshark.is_second_pass = true
   tshark("yapp,faults")
-  lu.assertEquals({ count_of(seen.builder, "set_only_pass"), count_of(seen.headers, "use_taps") }, { 0, 0 })
+  lu.assertEquals({ count_of(seen.wants, "set_only_pass"), count_of(seen.headers, "use_taps") }, { 0, 0 })
 end
 
 function T.test_files_that_a_live_capture_went_on_in()

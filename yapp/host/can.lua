@@ -24,19 +24,19 @@ Dissector.__index = Dissector
 --- Make the dissector.
 -- reading      a reading.reading
 -- view         a show.frame
--- builder      a show.tree
+-- wants        a show.wants
 -- buses        a capture.capture
 -- settings     its accepts_all: the preference yapp.all_extended
 -- headers      a host.header
-function M.new(reading, view, builder, buses, settings, headers)
+function M.new(reading, view, wants, buses, settings, headers)
   local self = setmetatable({
     reading = reading,
     view = view,
-    builder = builder,
+    wants = wants,
     buses = buses,
     settings = settings,
     headers = headers,
-    frame = false, wants = false, -- see Dissector:reset
+    frame = false, asked = false, -- see Dissector:reset
   }, Dissector)
   headers:use(function(...) self:dissect(...) end, function(...) self:report(...) end)
   return self
@@ -48,7 +48,7 @@ function Dissector:reset()
   self.bus_is_per_packet = self.buses.bus_is_per_packet
   self.newest_key = 0 -- of the frames that were read: one above it is new
   self.frame = records.new_can_frame()
-  self.wants = false -- of Tree:wants; the frame has those that the reading needs
+  self.asked = false -- the answer of Wants:ask that the frame has
 end
 
 -- Set where the current frame was captured.
@@ -59,13 +59,13 @@ end
 
 -- Find out whether the current frame is a revisit, and which parts of it are wanted.
 -- is_deferred  true if it comes from a tap, where Wireshark calls every packet visited
--- returns      see Tree:wants
+-- returns      see Wants:ask
 local function ask(self, frame, pinfo, tree, is_deferred)
   local visited = frame.key <= self.newest_key and not is_deferred and pinfo.visited
-  local wants = self.builder:wants(tree, pinfo, visited)
+  local wants = self.wants:ask(tree, pinfo, visited)
   frame.visited = visited
   frame.is_only_pass, frame.wants_state = wants.is_only_pass, wants.state
-  self.wants = not visited and self.builder.wanted or false
+  self.asked = not visited and self.wants.first_pass or false
   return wants
 end
 
@@ -115,8 +115,8 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
   frame.accepts_all = accepts_all
   if self.bus_is_per_packet then find_bus(self, frame, pinfo) end
   -- A frame above the newest one is new, and in tshark's first pass all frames want the same.
-  local wants = self.builder.wanted
-  if key <= self.newest_key or wants ~= self.wants then
+  local wants = self.wants.first_pass
+  if key <= self.newest_key or wants ~= self.asked then
     wants = ask(self, frame, pinfo, tree, length)
   end
   local passed = ZEROS[data] and pass_over(self, frame, tvb, pinfo, id)

@@ -118,7 +118,7 @@ function Headers:close()
 end
 
 --- Let a tap read the headers that are needed, in tshark's only pass.
--- wants  of Tree:wants: a frame that is shown cannot wait, because a tap has no tree
+-- wants  of Wants:ask: a frame that is shown cannot wait, because a tap has no tree
 function Headers:use_taps(wants)
   self.defers = not (wants.tree or wants.columns)
   if self.defers then self:stop() end

@@ -51,7 +51,7 @@ local function read_segment(tvb, pinfo)
 end
 
 --- Make the dissector.
--- parts  { reading = a reading.reading, view = a show.packet, builder = a show.tree,
+-- parts  { reading = a reading.reading, view = a show.packet, wants = a show.wants,
 --          buses = a capture.capture; Protos for the wrappers: tcp_header, usb_header;
 --          counted = function(f) -> f, whose calls are counted }
 function M.new(parts)
@@ -105,11 +105,11 @@ end
 -- line    see serial.lines
 -- offset  of its bytes in the packet
 -- length  number of bytes that it had
--- returns  it, and what is wanted of it, see Tree:wants
+-- returns  it, and what is wanted of it, see Wants:ask
 local function new_packet(self, line, pinfo, tree, offset, bytes, length)
   local number, visited = pinfo.number, pinfo.visited
   local is_truncated = length > #bytes
-  local wants = self.builder:wants(tree, pinfo, visited)
+  local wants = self.wants:ask(tree, pinfo, visited)
   return {
     key = number * PACKET + offset,
     number = number,

@@ -66,14 +66,6 @@ local function add_state(message_type, add)
       ("The latest %s on this bus before the message"):format(title), nil, "REQUEST")
   end
   if not fault then return end
-  message_type.fault_names = add(fault.group .. ".active_names", "STRING", "Faults",
-    "Names of all fault flags that are set in a message")
-  for _, way in ipairs { "raised", "cleared" } do
-    states[way .. "_in"] = add(("%s.%s_in"):format(fault.group, way), "FRAMENUM",
-      ("%s: %s in"):format(fault.title, way),
-      ("The message in which %s"):format(way == "raised" and
-        "the first of the faults was raised" or "the last of the faults was cleared"))
-  end
   states.active_time = add(fault.group .. ".active_time", "RELATIVE_TIME",
     "Time since the oldest fault was raised",
     "Since the oldest fault that is still set was raised")

@@ -91,7 +91,6 @@ local function new_source(self, message)
     bases = {}, -- of each: seconds of the controller's clock less the capture's
     fault_keys = {}, -- ascending: where faults change
     active_since = {}, -- of each: when the oldest fault that is still set was raised, or false
-    incidents = {}, -- of each: { first, last = frame keys }, from the first fault to none
     commands = answered and answered[bus], -- ascending: the messages that they answer
     own = answering and answering[bus], -- ascending: if others answer them
   }
@@ -235,14 +234,9 @@ local function detect_faults(source, message, _, change)
   local flags = change and change.flags
   local steps = flags and source.faults:update(flags, message.time)
   if not steps then return nil end
-  local keys, incidents, key = source.fault_keys, source.incidents, message.key
-  if keys[#keys] ~= key then
-    local is_first = not source.active_since[#keys]
-    insert(keys, key)
-    incidents[#keys] = is_first and { first = key } or incidents[#keys - 1]
-  end
-  local oldest = source.faults:oldest_time()
-  source.active_since[#keys], incidents[#keys].last = oldest, not oldest and key or nil
+  local keys, key = source.fault_keys, message.key
+  if keys[#keys] ~= key then insert(keys, key) end
+  source.active_since[#keys] = source.faults:oldest_time()
   return "faults", steps
 end
 
@@ -352,9 +346,8 @@ end
 --   command_in    frame key of the latest good message on the bus that it answers: a Command
 --   active_time   seconds since the oldest fault that is still set was raised; nil if the capture's
 --                 clock went back behind that
---   raised_in, cleared_in  frame keys of the messages in which the time with a fault began and
---                 ended, if one is set or changes
---   previous_change, next_change  of the messages before and behind it that changed a fault, then }
+--   previous_change, next_change  frame keys of the messages before and behind it that changed a
+--                 fault, if one is set or changes }
 function History:state(message)
   local source, key = self.by_source[message.source], message.key
   if not source or message.status ~= "good" or key >= source.shared_key then return nil end
@@ -368,7 +361,6 @@ function History:state(message)
     active_time = since and span(since, message.time),
   }
   if since or is_change then
-    state.raised_in, state.cleared_in = source.incidents[last].first, source.incidents[last].last
     state.previous_change = faults[is_change and last - 1 or last]
     state.next_change = faults[last + 1]
   end

@@ -107,8 +107,7 @@ end
 --   label     the name of its messages
 --   short     the same without the source, if a column shows that
 --   write     function(raws) -> the values in Info, nil without a message type
---   text      for the column Source: the name, else bus and ID, where they differ from others'
---   texts     of the fragments of its messages, see show.frame }
+--   text      for the column Source: the name, else bus and ID, where they differ from others' }
 function Types:new_source(id, bus_key, bus, line)
   local interface = line and line.interface or nil
   local of_type, name = self.sources:find(bus, id, interface)
@@ -127,7 +126,6 @@ function Types:new_source(id, bus_key, bus, line)
     short = self.hidden.source and title_of(of_type, id) or label,
     write = write_of(of_type, self.hidden.values),
     text = name or column_text(self, id, bus, line),
-    texts = {},
   }
 end
 

@@ -2,8 +2,6 @@
 -- From a transfer to the message that it carries: its values, and the changes since the source's
 -- previous message.  Pure Lua.
 
-local compiler = require "yapp.message.catalogue"
-
 local M = {}
 
 local NONE = {} -- to be read only
@@ -23,7 +21,6 @@ function M.new(types, history, copies)
     types = types,
     history = history,
     copies = copies,
-    advised = {}, -- [id of an unknown message] = the frame key whose Info has the whole advice
   }, Messages)
 end
 
@@ -41,9 +38,7 @@ local function new_message(frame, transfer)
     raws = false, -- the values by index of field (message.decode); false if the size does not fit
     remarks = NONE, -- the remarkable values (message.decode)
     undecoded = false, -- number of payload bytes behind the type's size, false for none
-    -- Of an unknown message: { type = that has its size, is_advised = true if Info says in full
-    -- which preference decodes it }; false if no type has its size.
-    like = false,
+    has_fault = false, -- true if a fault flag is set; a damaged message has none
     copy_of = false, -- frame key of the message that it is a copy of, or false
     -- Of message.history:
     change = false, -- the change, or false
@@ -62,18 +57,11 @@ local function decode_values(message, of_type)
   if size < of_type.min_size or is_longer and not is_good then return end
   local raws, remarks = of_type.read(message.payload)
   message.raws = raws
-  if remarks then message.remarks = remarks end
+  if remarks then
+    message.remarks = remarks
+    message.has_fault = message.status ~= "bad" and remarks.has_fault or false
+  end
   if is_longer then message.undecoded = size - of_type.size end
-end
-
--- Find the type that an unknown message could be of by its size.
-local function find_like(self, message)
-  if message.status ~= "good" then return end
-  local same = compiler.of_size(self.types.messages, message.transfer.size)[1]
-  if not same then return end
-  local advised, id = self.advised, message.source.id
-  advised[id] = advised[id] or message.key
-  message.like = { type = same, is_advised = advised[id] == message.key }
 end
 
 -- Set the history's values of a message.
@@ -103,11 +91,7 @@ end
 -- returns   the message, and whether it is good and decoded and has nothing else to show
 function Messages:read(frame, transfer)
   local of_type, message = frame.source.type, new_message(frame, transfer)
-  if not of_type then
-    find_like(self, message)
-  elseif not IS_BROKEN[message.status] then
-    decode_values(message, of_type)
-  end
+  if of_type and not IS_BROKEN[message.status] then decode_values(message, of_type) end
   if message.status == "good" or message.status == "bad" then
     message.copy_of = self.copies:find(message, frame.visited, frame.is_only_pass) or false
   end

@@ -85,7 +85,7 @@ local function new_frame_result(self, can_frame, kind, transfer, anomalies, inde
   can_frame.seq = can_frame.can_id.seq
   if kind == "last" or kind == "single" then
     message, is_usual = self.messages:read(can_frame, transfer)
-    if message.remarks.has_fault then reassembly.mark_fault(transfer) end
+    if message.has_fault then reassembly.mark_fault(transfer) end
   end
   result.kind = kind
   result.frame = can_frame

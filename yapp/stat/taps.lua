@@ -35,7 +35,7 @@ Stat.__index = Stat
 --     sources       a message.sources; sources_text = the preference that it was read from
 --     ids           [message name] = list of the IDs that its preference has
 --     problems      list of texts: wishes of the user that were not met }
---   builder = a show.tree, buses = a capture.capture
+--   wants = a show.wants, buses = a capture.capture
 --   reading    a reading.reading, frames = a host.can, headers = its host.header
 --   find_options  function() -> list of tshark's options that may decode other packets, and
 --              those of them that certainly decode YAPP
@@ -82,19 +82,19 @@ end
 -- The tap that sees every packet.
 local function tap_packets(self)
   local tap, is_waiting = add_tap(self), IS_TSHARK
-  local calls, buses, headers, builder = self.calls, self.buses, self.headers, self.builder
+  local calls, buses, headers, asker = self.calls, self.buses, self.headers, self.wants
   local function has_clock() return select(2, buses:has_times()) end
 
   -- Every packet comes here, so nothing else is called that need not be.
   function tap.packet(pinfo, tvb)
     calls.begun = calls.begun + 1
     if headers.waiting then headers:on_packet(pinfo, tvb) end
-    local wants = is_waiting and builder.wanted -- known once a packet has YAPP
+    local wants = is_waiting and asker.first_pass -- known once a packet has YAPP
     if wants then
       is_waiting = false
       -- A tap that is called before the last packet is dissected is so in tshark's only pass.
       if not self.frames:is_second_pass(pinfo.number) then
-        builder:set_only_pass()
+        asker:set_only_pass()
         headers:use_taps(wants)
       end
     end

@@ -65,7 +65,8 @@ def of_each(text: str, controllers: Sequence[Controller]) -> str:
             lines.append(_line(row))
             continue
         for at, (name, expression) in enumerate(controllers):
-            own = [*row[:title], f"{row[title]} {name}", expression, COLOURS[at % len(COLOURS)], *row[title + 3 :]]
+            both = " && ".join([expression, *filter(None, row[title + 1 : title + 2])])
+            own = [*row[:title], f"{row[title]} {name}", both, COLOURS[at % len(COLOURS)], *row[title + 3 :]]
             lines.append(_line(own))
     return "".join(f"{line}\n" for line in lines)
 

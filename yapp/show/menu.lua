@@ -11,17 +11,16 @@ local EXTENDED, REMOTE, ID_END = 0x80000000, 0x40000000, 0x20000000 -- in the wo
 local UNREAD = "YAPP: no packet was read, as no capture is open, or Wireshark still reads it: " ..
   "wait for the end, and try again"
 
--- Stands for a message with fault flags: neither an unknown ID nor another message has some.
-local HAS_FAULTS = {}
 local FAULTS = "yapp.source in {%s} && (taurus.fault.raised || taurus.fault.cleared)"
--- Title, a field that the packet must have, and the display filter that its values and the packet's
--- number make.  Wireshark selects the packet that is nearest to the one that was.
+-- Title, the display filter that the values of a field and the packet's number make, and the field,
+-- which the packet must have.  Without one it is the source, of a message that may have faults.
+-- Wireshark selects the packet that is nearest to the one that was.
 local FILTERS = {
-  { "Only this controller", "yapp.source", "yapp.source in {%s}" },
-  { "Faults of this controller", HAS_FAULTS, FAULTS },
-  { "Previous fault of this controller", HAS_FAULTS, FAULTS .. " && frame.number < %d" },
-  { "Next fault of this controller", HAS_FAULTS, FAULTS .. " && frame.number > %d" },
-  { "Whole message", "yapp.reassembled.in", "yapp.reassembled.in in {%s}" },
+  { "Only this controller", "yapp.source in {%s}", "yapp.source" },
+  { "Faults of this controller", FAULTS },
+  { "Previous fault of this controller", FAULTS .. " && frame.number < %d" },
+  { "Next fault of this controller", FAULTS .. " && frame.number > %d" },
+  { "Whole message", "yapp.reassembled.in in {%s}", "yapp.reassembled.in" },
 }
 
 -- Add an item.
@@ -97,78 +96,54 @@ local function ask_name(values, sources, catalogue)
   end, { name = "Names of sources", value = sources })
 end
 
--- Return all unknown IDs of the capture that have the size of a message: { [message] = list }; nil
--- if no packet came: Wireshark does not read twice at a time.
-local function find_ids(messages)
-  local found, by_field, fields = {}, {}, {}
-  for _, message in ipairs(messages) do
-    local field = "yapp.like." .. message.name
-    by_field[field], fields[#fields + 1] = message, field
+-- Decode all unknown IDs of the capture that have the size of a message as that message.
+local function decode_by_size(prefs, messages)
+  local types, terms, values, is_known, is_read = {}, { "frame" }, {}, {}, false
+  for _, message_type in ipairs(messages) do
+    local field = "yapp.like." .. message_type.name
+    types[field], terms[#terms + 1] = message_type, field
   end
-  local tap = Listener.new("frame", table.concat(fields, " || "))
+  local tap = Listener.new("frame", table.concat(terms, " || "))
   function tap.packet()
+    is_read = true -- no packet comes if Wireshark reads the file for another reason
     for _, info in ipairs { all_field_infos() } do
-      local message = by_field[info.name]
-      if message then
-        found[message] = found[message] or {}
-        found[message][info.value] = true
+      local message_type, id = types[info.name], info.value
+      if message_type and not is_known[id] then
+        local name = message_type.name .. "_ids"
+        is_known[id], values[name] = true, (values[name] or prefs[name]) .. "," .. id
       end
     end
   end
-  local every, is_read = Listener.new("frame"), false
-  function every.packet() is_read = true end
   retap_packets()
   tap:remove()
-  every:remove()
-  if not is_read then return nil end
-  for message, is_known in pairs(found) do
-    found[message] = {}
-    for id in pairs(is_known) do table.insert(found[message], id) end
-    table.sort(found[message])
-  end
-  return found
-end
-
--- Decode all unknown IDs of the capture that have the size of a message as that message.
-local function decode_by_size(prefs, messages)
-  local found, values = find_ids(messages), {}
-  if not found then return report_failure(UNREAD) end
-  for message, ids in pairs(found) do
-    local name = message.name .. "_ids"
-    values[name] = prefs[name] .. "," .. table.concat(ids, ",")
-  end
+  if not is_read then return report_failure(UNREAD) end
   if next(values) then return set_preferences(values) end
   report_failure("YAPP: no message of an unknown ID has the size of a message in the catalogue")
 end
 
--- Add an item that filters.
--- row  of FILTERS; field: that the packet must have; of: whose values are in the filter
-local function add_filter(row, field, of)
+-- Add an item that filters, for packets with a field.
+-- row  of FILTERS
+local function add_filter(row, field)
   add_item(row[1], field, function(values)
-    set_filter(row[3]:format(values[of], values["frame.number"]))
+    set_filter(row[2]:format(values[row[3] or "yapp.source"], values["frame.number"]))
     apply_filter()
   end)
 end
 
 -- COMPAT 4.0: no register_packet_menu.
 local function register_of_packet(prefs, catalogue)
-  for _, row in ipairs(FILTERS) do
-    if row[2] == HAS_FAULTS then
-      for _, message in ipairs(catalogue.messages) do
-        local field = message.fault_field or message.alarms[1]
-        if field then add_filter(row, field.filter, "yapp.source") end
-      end
-    else
-      add_filter(row, row[2], row[2])
-    end
+  local fault_fields = {}
+  for _, message_type in ipairs(catalogue.messages) do
+    local field = message_type.fault_field or message_type.alarms[1]
+    if field then fault_fields[#fault_fields + 1] = field.filter end
   end
-  for _, message in ipairs(catalogue.messages) do
-    local ids, like = message.name .. "_ids", "yapp.like." .. message.name
-    add_item("Decode this ID as " .. message.title, like, function(values)
+  for _, row in ipairs(FILTERS) do
+    for _, field in ipairs(row[3] and { row[3] } or fault_fields) do add_filter(row, field) end
+  end
+  for _, message_type in ipairs(catalogue.messages) do
+    local ids, like = message_type.name .. "_ids", "yapp.like." .. message_type.name
+    add_item("Decode this ID as " .. message_type.title, like, function(values)
       set_preferences { [ids] = prefs[ids] .. "," .. values[like] }
-    end)
-    add_item("Decode all IDs of this size as " .. message.title, like, function()
-      decode_by_size(prefs, { message })
     end)
   end
   add_item("Name this controller ...", "yapp.id", function(values)
