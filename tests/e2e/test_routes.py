@@ -78,8 +78,7 @@ def test_busmaster_without_0x(folder):
     assert motor_count(folder / "frames.log") == 24
 
 
-@pytest.mark.parametrize("title, name", [("SLCAN", "c11_slcan.txt"), ("socketcand", "c11_socketcand.txt"),
-                                         ("Text that python-can prints", "c11_pythoncan_printer.txt")])
+@pytest.mark.parametrize("title, name", [("Text that python-can prints", "c11_pythoncan_printer.txt")])
 def test_text_of_other_tools(folder, title, name):
     shutil.copy(CASES / name, folder / "run.txt")
     run(folder, *commands(title))
@@ -87,20 +86,6 @@ def test_text_of_other_tools(folder, title, name):
     assert len(frames) == 26 and motor_count(folder / "run.log") == 4
     kinds = {event["kind"] for event in events(folder / "run.log")}
     assert not kinds & {"dropped", "incomplete", "crc", "unknown", "clock"}
-
-
-def test_slcan_with_times(folder):
-    """The adapter's clock of milliseconds begins again after a minute."""
-    (folder / "run.txt").write_text("\rT00000000101EA5F\r\x07t123200FF0001\rz\rT084040000002\r")
-    run(folder, *commands("SLCAN"))
-    assert (folder / "run.log").read_text().splitlines() == [
-        "(59.999000) can0 00000000#01", "(60.001000) can0 123#00FF", "(60.002000) can0 08404000#"]
-
-
-def test_socketcand_with_blanks(folder):
-    (folder / "run.txt").write_text("< hi >< ok >< frame 123 23.424242 11 22 33 44 >\n< frame 00000000 24.0  >< frame 7FF 1.5 AB >")
-    run(folder, *commands("socketcand"))
-    assert (folder / "run.log").read_text().splitlines() == ["(23.424242) can0 123#11223344", "(24.0) can0 00000000#", "(1.5) can0 7FF#AB"]
 
 
 @has_python_can
@@ -172,36 +157,6 @@ def test_merged_logs(folder, buses, passes):
     assert sent and len(good) == buses * len(sent)
     if passes:  # in one pass they are withdrawn too late
         assert not any(row[1] or row[2] for row in found)
-
-
-def cannelloni(frames):
-    """One UDP packet of cannelloni."""
-    body = b""
-    for can_id, data, fd in frames:
-        body += struct.pack(">I", can_id) + (bytes([len(data) | 0x80, 5]) if fd else bytes([len(data)])) + data
-    return struct.pack(">BBBH", 2, 0, 7, len(frames)) + body
-
-
-def test_cannelloni(folder):
-    rng = random.Random(1)
-    flight = flights.make(1)
-    frames = [(frame.can_id | 0x80000000, frame.data, False) for frame in flight.frames]
-    frames[5:5] = [(0x123, bytes(12), True), (0xC0000123, b"", False), (0x7FF, b"\x01", False)]
-    packets, at = [], 0
-    while at < len(frames):
-        count = rng.randrange(1, 9)
-        data = cannelloni(frames[at:at + count])
-        udp = struct.pack(">HHHH", 20000, 20000, 8 + len(data), 0) + data
-        ip = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0, bytes([10, 0, 0, 1]), bytes([10, 0, 0, 2]))
-        packets.append(bytes(12) + b"\x08\x00" + ip + udp)
-        at += count
-    (folder / "run.pcap").write_bytes(can_generator.pcap_head(1) + b"".join(
-        can_generator.pcap_packet(number, packet, len(packet)) for number, packet in enumerate(packets)))
-    run(folder, *commands("cannelloni"))
-    wanted = [f"{'08X' if ident & 1 << 31 else '03X'}" for ident, _, _ in frames]
-    lines = [line.split(" ", 2)[2] for line in (folder / "run.log").read_text().splitlines()]
-    assert lines == [f"{ident & 0x1FFFFFFF:{form}}#{'#5' if fd else ''}{data.hex().upper()}"
-                     for (ident, data, fd), form in zip(frames, wanted) if ident >> 30 != 3]
 
 
 def test_any_csv(folder):
