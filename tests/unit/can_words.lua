@@ -76,7 +76,7 @@ local OTHER = { "start", "orphan", "orphan" } -- by CAN CTRL
 function M.visit(known, frame, visited)
   local fields, bus = can_id.fields[frame.can_id], frame.bus or false
   local record = { key = frame.number * frame_key.PACKET + (frame.offset or 8), can_id = fields,
-    time = frame.time or frame.number, slot = can_id.slot(fields, frame.bus or 0),
+    time = frame.time or frame.number, slot = fields.message_key + (frame.bus or 0) * can_id.BUS,
     source = known.source_of(fields.id, bus), bus = bus,
     data = frame.data, reported = frame.reported or #frame.data,
     accepts_all = frame.accepts_all or false, is_only_pass = frame.is_only_pass or false }

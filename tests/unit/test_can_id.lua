@@ -24,14 +24,6 @@ function T.test_ids()
   end
 end
 
--- The key has 29 bits, the bus is above them.
-function T.test_slots()
-  local fields = can.fields[0x1FFFFFFF]
-  for bus, above in pairs { [0] = 0, [1] = 2 ^ 29, [7] = 7 * 2 ^ 29 } do
-    lu.assertEquals(can.slot(fields, bus), 0x1FFC3FFF + above)
-  end
-  lu.assertEquals(can.slot(fields, false), 0x1FFC3FFF)
-end
 
 function T.test_names_of_can_ctrl()
   lu.assertEquals(can.CTRL_NAMES, { [0] = "Single", [1] = "Start", [2] = "Middle", [3] = "End" })

@@ -72,12 +72,7 @@ end
 
 -- Return whether bytes may have the header of a YAPP frame.
 local function has_header(bytes)
-  local start = frame.find(bytes, 1)
-  while start do
-    if frame.is_plausible(bytes, start) then return true end
-    start = frame.find(bytes, start + 1)
-  end
-  return false
+  return frame.find_header(bytes, 1) ~= nil
 end
 
 -- Buses -------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ function M.new_can_frame()
     wants_state = false, -- true if the state of its message is wanted
     -- The reading fills in:
     source = false, -- see message.types
-    slot = 0, -- see can_id.slot
+    slot = 0, -- see can_id.BUS
   }
 end
 

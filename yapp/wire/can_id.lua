@@ -9,7 +9,7 @@ local M = {}
 
 local char, floor = string.char, math.floor
 
---- The slots of bus n begin at n * M.BUS, see M.slot.
+--- A slot is a number for the message key of CAN ids and their bus: message_key + bus * M.BUS.
 M.BUS = 0x20000000
 
 -- CAN CTRL; 0 is a single frame.
@@ -41,12 +41,6 @@ end
 -- The same id usually gets the same table, which only M.seed writes to.  The cache is weak: a bus
 -- has few ids, but a hostile capture may have any number.
 M.fields = setmetatable({}, { __mode = "v", __index = split })
-
---- Return the slot of a message: one number for its key and its bus.
--- bus  number; false where it is not known
-function M.slot(fields, bus)
-  return fields.message_key + (bus or 0) * M.BUS
-end
 
 --- Return how many bytes of CAN FD padding the last or only frame of a message has.
 -- data    its captured bytes; reported: its length on the bus; needed: bytes that the message still

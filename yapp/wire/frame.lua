@@ -36,24 +36,11 @@ function M.crc(bytes, to)
   return a + b * 0x100 + c * 0x10000 + d * 0x1000000
 end
 
---- Return whether the header at a "YP" is as the document has it; false where it is not complete.
--- bytes, from  as for M.parse
-function M.is_plausible(bytes, from)
-  local id, _, reserved = M.parse(bytes, from)
-  return id ~= nil and id <= M.MAX_ID and reserved == 0
-end
-
 --- Return whether the bytes that came of the header at a "YP" are as the document has them.
 -- bytes, from  as for M.parse
 function M.may_be_header(bytes, from)
   local id1, id2, id3, _, _, rest0, rest1 = byte(bytes, from + 5, from + 11)
   return (id1 or 0) <= 7 and (id2 or 0) + (id3 or 0) + (rest0 or 0) + (rest1 or 0) == 0
-end
-
---- Return whether the header at a "YP" is as the document has it, up to its ID.
--- bytes, from  as for M.parse
-function M.has_id(bytes, from)
-  return M.may_be_header(bytes:sub(from, from + 7), 1)
 end
 
 --- Return the index of the next "YP" from a 1-based index on; nil without one.
