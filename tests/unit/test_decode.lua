@@ -101,13 +101,6 @@ function T.test_the_divisor_of_the_worked_examples()
   field_kinds.choose_divisor(field_kinds.MAPPING)
 end
 
-function T.test_rounding()
-  local f = field("float16", -10, 5)
-  lu.assertTrue(tonumber(field_kinds.number_text(f, 1.1000000001)) == 1.1)
-  lu.assertTrue(tonumber(field_kinds.number_text(f, -0.12345678)) == -0.1234568)
-  lu.assertTrue(tonumber(field_kinds.number_text(f, 0)) == 0)
-end
-
 local function bytes(hex) return (hex:gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end)) end
 
 function T.test_times()

@@ -38,13 +38,4 @@ function M.is_printable(text)
   return M.printable(text) == text
 end
 
--- Going: use M.printable, and M.is_printable.
-M.name = M.printable
-function M.ascii(text)
-  return (text:gsub("[\128-\255][\128-\191]*", function(bytes)
-    local character = first_character(bytes)
-    return (character ~= "" and "?" or "") .. bytes:sub(#character + 1)
-  end))
-end
-
 return M

@@ -135,7 +135,7 @@ local function add_interface(self, linktype, name)
   local interface = {
     number = #self.interfaces, -- in the file
     linktype = linktype,
-    name = name and utf8.name(name),
+    name = name and utf8.printable(name),
     per_second = 1e6, -- time units
     shift = 0, -- seconds to add to its times
     buses = {}, -- by index
@@ -473,7 +473,7 @@ end
 -- direction  of its flags, or nil
 function File:bus_by_fields(number, index, event, name, direction)
   local interface = self.interfaces[number + 1] or
-    { number = number, name = name and utf8.name(name), buses = {} }
+    { number = number, name = name and utf8.printable(name), buses = {} }
   self.interfaces[number + 1] = interface
   if event then
     index = EVENT_DIRECTIONS[event] or "tx"

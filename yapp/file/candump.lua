@@ -262,7 +262,7 @@ local function note(log, line, record, offset)
     log:tell(line, "candump lost frames")
     log.drops[#log.drops + 1] = {
       count = math.min(tonumber(count), MAX_DROPPED),
-      bus = not NO_BUS[bus] and utf8.name(bus) or nil,
+      bus = not NO_BUS[bus] and utf8.printable(bus) or nil,
     }
   elseif record and log.has_deltas and record.seconds then
     log.clock = log.clock + record.seconds * SECOND + record.nanoseconds
@@ -303,7 +303,7 @@ function M.open(file, report)
     local erase_plain = plain_eraser(bus)
     head = find_unusual_text(file, head, erase_plain(head), erase_plain)
     if not head then
-      return nil, { plain_bus = utf8.name(bus), stamps_differ = found.stamps_differ }
+      return nil, { plain_bus = utf8.printable(bus), stamps_differ = found.stamps_differ }
     end
   end
   return text.open(head, report, {

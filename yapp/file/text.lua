@@ -243,7 +243,7 @@ local function add_bus(self, name)
   local number = tonumber(name:match("%f[%d]%d?%d?%d$"))
   if not number or self.is_taken[number] then number = self.free end
   self.is_taken[number] = true
-  local bus = { number = number, name = utf8.name(name) }
+  local bus = { number = number, name = utf8.printable(name) }
   self.buses[name] = bus
   self.pending[#self.pending + 1] = ("Interface index %d is %s"):format(number, bus.name)
 end

@@ -54,19 +54,16 @@ end
 
 --- Return an IEEE 754 number of four or eight bytes.
 function M.ieee(payload, index, size)
-  local digits = size == 4 and 23 or 52 -- of its mantissa
-  local exponent_bits = 8 * size - 1 - digits
-  local a, b = byte(payload, index + size - 2, index + size - 1)
-  local high = 2 ^ (15 - exponent_bits) -- the two highest bytes: sign, exponent, digits
-  local top = b % 0x80 * 0x100 + a
-  local exponent = math.floor(top / high)
-  local mantissa = top % high * 2 ^ (digits - 15 + exponent_bits) +
-    M.count(payload, index, size - 2)
-  local sign, highest = b >= 0x80 and -1 or 1, 2 ^ exponent_bits - 1
+  local high = M.count(payload, index + size - 4, 4)
+  local low = size == 8 and M.count(payload, index, 4) or 0
+  local steps = size == 4 and 2 ^ 23 or 2 ^ 20 -- of the mantissa, in the four highest bytes
+  local highest = 2 ^ 31 / steps - 1 -- exponent
+  local sign, bias = high >= 2 ^ 31 and -1 or 1, (highest - 1) / 2
+  local exponent = math.floor(high % 2 ^ 31 / steps)
+  local mantissa = (high % steps + low / 2 ^ 32) / steps
   if exponent == highest then return mantissa == 0 and sign * math.huge or 0 / 0 end
-  local bias = (highest - 1) / 2 + digits
-  if exponent == 0 then return sign * (mantissa * 2 ^ (1 - bias)) end
-  return sign * (mantissa + 2 ^ digits) * 2 ^ (exponent - bias)
+  if exponent == 0 then return sign * mantissa * 2 ^ (1 - bias) end
+  return sign * (1 + mantissa) * 2 ^ (exponent - bias)
 end
 
 --- Return the number with the fewest digits that is equal as a float of four bytes: 0.1 for

@@ -24,7 +24,8 @@
 --   flags      flags { name, mask, title, filter, help or nil }, group, undefined (mask: bits that
 --              nothing defines), alarm_bits (mask: bits that are faults), fault_word (in Info,
 --              before their names)
---   float      compressed: min, max, top, ordinary (the highest count that is not reserved)
+--   float      compressed: min, max, top, ordinary (the highest count that is not reserved), number
+--              (function(raw) -> value)
 --   ieee, bool, string, bytes, time
 
 local band = require "yapp.base.bits".band
@@ -82,6 +83,9 @@ local MESSAGE_OPTIONS = set("name title section id size min_size info info_rest 
   "differences derived")
 local FLAG_OPTIONS, DERIVED_OPTIONS = set "help alarm", set "unit"
 
+-- The lists and maps of a message type, see above.
+local LISTS = set "fields by_name flag_fields alarms generated derived rounded states filters"
+
 -- Lua's types of options; those of the others are texts.
 local OPTION_TYPES = {
   id = "number", size = "number", min_size = "number", length = "number", every = "number",
@@ -108,16 +112,13 @@ local function check_options(row, what, options, count)
 end
 
 -- Raise errors in a row { name, ..., title, options }.
--- kind     of row: "flag"
--- count    how many values without a name it has; the last one is its title
--- returns  what it is in errors: "flag stopped"
-local function check_row(row, kind, options, count)
-  demand(type(row) == "table", "%s: %s is not { name, ..., title }", kind, shown(row))
-  demand(input.is_name(row[1]), "%s: %s is not a filter name (a-z, 0-9, _)", kind, shown(row[1]))
-  local what = kind .. " " .. row[1]
-  demand(is_text(row[count]), "%s has no title", what)
+-- what   it is: "flag 2", "type uint8"
+-- count  how many values without a name it has; the last one is its title
+local function check_row(row, what, options, count)
+  demand(type(row) == "table", "%s: %s is not { name, ..., title }", what, shown(row))
+  demand(input.is_name(row[1]), "%s: %s is not a filter name (a-z, 0-9, _)", what, shown(row[1]))
+  demand(is_text(row[count]), "%s: %s has no title", what, row[1])
   check_options(row, what, options, count)
-  return what
 end
 
 -- Fields -----------------------------------------------------------------------------------------
@@ -134,18 +135,19 @@ local function add_flags(message_type, field, row)
   field.group = message_type.filter .. "." .. row.group
   field.undefined, field.alarm_bits = field.top, row.alarm and field.top or 0
   for i, flag in ipairs(row.flags) do
-    local what, mask = check_row(flag, "flag", FLAG_OPTIONS, 3), flag[2]
-    check_fits(field, what .. ": mask", mask, 1)
+    check_row(flag, "flag " .. i, FLAG_OPTIONS, 3)
+    local name, mask = flag[1], flag[2]
+    check_fits(field, name .. ": mask", mask, 1)
     local taken = mask - band(mask, field.undefined)
-    demand(taken == 0, "%s: bit 0x%X is already another's", what, taken)
+    demand(taken == 0, "%s: bit 0x%X is already another's", name, taken)
     field.undefined = field.undefined - mask
     if flag.alarm and not row.alarm then field.alarm_bits = field.alarm_bits + mask end
     field.flags[i] = {
-      name = flag[1],
+      name = name,
       mask = mask,
       title = flag[3],
       help = flag.help,
-      filter = field.group .. "." .. flag[1],
+      filter = field.group .. "." .. name,
     }
   end
   table.insert(message_type.flag_fields, field)
@@ -166,6 +168,7 @@ local function add_range(field, row)
   field.min, field.max = row.min + 0.0, row.max + 0.0 -- COMPAT 5.4: see add_scale
   field.shape = field.size == 4 and "%.10g" or "%.7g" -- the digits that its count can carry
   field.ordinary = field.top - 5
+  field.number = field_kinds.new_float(field)
 end
 
 -- A linear scale: value = count * scale + offset.
@@ -224,18 +227,15 @@ local function compile_fields(message_type, rows, context)
   local offset = 0
   for i, row in ipairs(rows) do
     context.field = i
-    demand(type(row) == "table", "a field is a row { name, type, title }, not %s", shown(row))
-    if input.is_name(row[1]) then context.field = row[1] end
+    context.field = row[1] or i
     local definition = TYPES[row[2] or false]
     demand(definition, "unknown type %s; the types are %s", shown(row[2]), input.names(TYPES))
-    check_options(row, "type " .. row[2], definition.options, 3)
+    local what, is_padding = "type " .. row[2], definition.kind == "padding"
+    local check = is_padding and check_options or check_row
+    check(row, what, definition.options, 3)
     local size = definition.size or row.length
-    input.within(row[2] .. " needs a length, and", size, 1, MAX_SIZE)
-    if definition.kind ~= "padding" then
-      demand(input.is_name(row[1]), "%s is not a filter name (a-z, 0-9, _)", shown(row[1]))
-      demand(is_text(row[3]), "the title is missing")
-      add_field(message_type, row, definition, offset, size)
-    end
+    input.within(what .. ": length", size, 1, MAX_SIZE)
+    if not is_padding then add_field(message_type, row, definition, offset, size) end
     offset = offset + size
   end
   context.field = nil
@@ -244,21 +244,19 @@ end
 
 -- Generated values -------------------------------------------------------------------------------
 
--- Return a field of numbers of a message.
--- what  the item that needs it: "derived dc_power"
-local function number_field(message_type, what, name)
-  local field = message_type.by_name[name]
-  demand(field and field_kinds.is_number(field), "%s: %s is no field of numbers", what, shown(name))
-  return field
-end
-
 -- Add a value that is worked out from two fields.
 -- text     "field * field"
 -- returns  the item of message_type.generated
-local function add_generated(message_type, what, name, text, title)
+local function add_generated(message_type, name, text, title)
   local a, operator, b = tostring(text):match("^ *([%w_]+) *([*+-]) *([%w_]+) *$")
-  demand(a, '%s: %s is not two fields with *, + or - between them: "voltage * current"', what,
+  demand(a, '%s: %s is not two fields with *, + or - between them: "voltage * current"', name,
     shown(text))
+  local function number_field(field_name)
+    local field = message_type.by_name[field_name]
+    demand(field and field_kinds.is_number(field), "%s: %q is no field of numbers", name,
+      field_name)
+    return field
+  end
   local item = {
     name = name,
     title = title,
@@ -266,8 +264,8 @@ local function add_generated(message_type, what, name, text, title)
     kind = "derived",
     shape = "%.7g",
     operator = operator,
-    a = number_field(message_type, what, a),
-    b = number_field(message_type, what, b),
+    a = number_field(a),
+    b = number_field(b),
   }
   table.insert(message_type.generated, item)
   return item
@@ -275,15 +273,14 @@ end
 
 -- differences: { name, field, field, title }; derived: { name, "field * field", title, unit = }
 local function add_all_generated(message_type, entry)
-  for _, row in ipairs(entry.differences or {}) do
-    local what = check_row(row, "difference", {}, 4)
-    local text = ("%s - %s"):format(row[2], row[3])
-    local item = add_generated(message_type, what, row[1], text, row[4])
+  for i, row in ipairs(entry.differences or {}) do
+    check_row(row, "difference " .. i, {}, 4)
+    local item = add_generated(message_type, row[1], row[2] .. "-" .. row[3], row[4])
     item.unit, item.is_difference = item.a.unit, true
   end
   for i, row in ipairs(entry.derived or {}) do
-    local what = check_row(row, "derived", DERIVED_OPTIONS, 3)
-    local item = add_generated(message_type, what, row[1], row[2], row[3])
+    check_row(row, "derived " .. i, DERIVED_OPTIONS, 3)
+    local item = add_generated(message_type, row[1], row[2], row[3])
     item.unit, message_type.derived[i] = row.unit, item
   end
 end
@@ -292,34 +289,18 @@ end
 
 -- context  the subject of errors: context.field is set to the name of the current field, or nil
 local function compile_message(entry, reserved, context)
-  local title, min_size = entry.title, entry.min_size or entry.size
+  local title, message_type = entry.title, {}
   demand(is_text(title) and #title <= MAX_TITLE, "the title is missing or too long")
   check_options(entry, "a message", MESSAGE_OPTIONS, math.huge)
   input.within("id", entry.id, 0, input.MAX_ID)
-  local message_type = {
-    name = entry.name,
-    title = title,
-    section = entry.section,
-    id = entry.id,
-    size = entry.size,
-    min_size = min_size,
-    every = entry.every,
-    answers = entry.answers,
-    filter = "taurus." .. entry.name,
-    fields = {},
-    by_name = {},
-    flag_fields = {},
-    alarms = {},
-    generated = {},
-    derived = {},
-    rounded = {},
-    states = {},
-    filters = {},
-  }
+  for key in pairs(MESSAGE_OPTIONS) do message_type[key] = entry[key] end
+  for key in pairs(LISTS) do message_type[key] = {} end
+  message_type.filter = "taurus." .. entry.name
+  message_type.min_size = entry.min_size or entry.size
   local size = compile_fields(message_type, entry, context)
   demand(size == entry.size and size <= MAX_SIZE, "size is %s, but the fields add up to %d bytes",
     shown(entry.size), size)
-  input.within("min_size", min_size, 1, size)
+  input.within("min_size", message_type.min_size, 1, size)
   message_type.info = text_of.compile_info(message_type, entry.info or "")
   message_type.info_rest = text_of.compile_info(message_type, entry.info_rest or entry.info or "")
   add_all_generated(message_type, entry)
@@ -358,7 +339,7 @@ function M.compile(entries, reserved, files)
     local ok, problem = pcall(add_message, catalogue, entry, reserved or {}, context)
     if not ok then
       local file = files and files[i] .. ": " or ""
-      local field = context.field and ", field " .. context.field or ""
+      local field = context.field and ", field " .. tostring(context.field) or ""
       local text = "%smessage %s%s: %s; this message is not decoded"
       problems[#problems + 1] = text:format(file, context.message, field, problem)
     end

@@ -1,13 +1,11 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The faults of a source: each from the message that raises it to the message that clears it.
--- Pure Lua.
+-- The faults of a source: the one place that knows when each of them began and ended.  Pure Lua.
 
 local band = require "yapp.base.bits".band
+local last_until = require "yapp.base.frame_key".last_until
 local memo = require "yapp.base.memo"
 
 local M = {}
-
-local NONE = {} -- to be read only
 
 local Faults = {}
 Faults.__index = Faults
@@ -15,18 +13,19 @@ Faults.__index = Faults
 --- Make the faults of a source: none is set.
 function M.new()
   return setmetatable({
-    set = NONE, -- list of the faults that are set, as they rose; a new one for each change
+    set = {}, -- list of the faults that are set, as they rose; a new one for each change
     incident = nil, -- see Faults:update
+    keys = {}, -- ascending: frame keys of the messages that change a fault
+    since = {}, -- of each: when the oldest fault that was set behind it rose, or false
   }, Faults)
 end
 
 -- By field: the flags that are faults, with the bits that no table defines.
-local faults_of = memo(function(field)
-  local list = {}
+local fault_flags = memo(function(field)
+  local list, undefined = {}, band(field.undefined, field.alarm_bits)
   for _, flag in ipairs(field.flags) do
     if band(flag.mask, field.alarm_bits) ~= 0 then list[#list + 1] = flag end
   end
-  local undefined = band(field.undefined, field.alarm_bits)
   for bit = 0, 31 do
     local mask = 2 ^ bit
     if band(undefined, mask) ~= 0 then
@@ -46,14 +45,20 @@ local function remove_fault(set, flag)
 end
 
 -- Add the steps of one field.
-local function update_field(self, change, time, steps)
+local function update_field(self, change, message, steps)
   local field, now = change.field, change.value
   local before = now - change.raised + change.cleared
-  for _, flag in ipairs(faults_of[field]) do
+  for _, flag in ipairs(fault_flags[field]) do
     local is_set = band(now, flag.mask) ~= 0
     if is_set ~= (band(before, flag.mask) ~= 0) then
       local fault, set = remove_fault(self.set, flag)
-      fault = fault or { field = field.name, flag = flag, time = time, incident = self.incident }
+      fault = fault or {
+        field = field.name,
+        flag = flag,
+        key = message.key,
+        time = message.time,
+        incident = self.incident,
+      }
       if is_set then set[#set + 1] = fault end
       self.set = set
       steps[#steps + 1] = { fault = fault, is_raised = is_set }
@@ -61,35 +66,48 @@ local function update_field(self, change, time, steps)
   end
 end
 
+local function oldest_time(set)
+  local oldest = false
+  for _, fault in ipairs(set) do
+    if not oldest or fault.time < oldest then oldest = fault.time end
+  end
+  return oldest
+end
+
 --- Update the faults with a message.
 -- changes  list of { field, value, raised = mask, cleared = mask }, see message.history
--- time     seconds of the capture
+-- message  { key = frame key, time = seconds of the capture }
 -- returns  the steps, a list of { fault, is_raised = true if it rises or falls }, with set = list
 --          of the faults that are set behind the message; nil if no bit of a fault changes.
 --          A fault is one table from its rise to its fall: { field = name, flag,
---            time      when it rose
---            incident  a table for the time in which a fault is set without a break }
-function Faults:update(changes, time)
-  local steps = nil
+--            key, time  of the message in which it rose
+--            incident   a table for the time in which a fault is set without a break }
+function Faults:update(changes, message)
+  local steps, keys = nil, self.keys
   -- An incident goes on if one field falls and another rises in the same message.
   if not self.set[1] then self.incident = {} end
   for _, change in ipairs(changes) do
     if band(change.raised + change.cleared, change.field.alarm_bits) ~= 0 then
       steps = steps or {}
-      update_field(self, change, time, steps)
+      update_field(self, change, message, steps)
     end
   end
-  if steps then steps.set = self.set end
+  if not steps then return nil end
+  if keys[#keys] ~= message.key then keys[#keys + 1] = message.key end
+  self.since[#keys], steps.set = oldest_time(self.set), self.set
   return steps
 end
 
---- Return when the oldest fault that is set rose; false for none.
-function Faults:oldest_time()
-  local oldest = false
-  for _, fault in ipairs(self.set) do
-    if not oldest or fault.time < oldest then oldest = fault.time end
-  end
-  return oldest
+--- Return the state at a message, whether the message changes it or not, three values: seconds
+-- since the oldest fault that is set rose, nil if the capture's clock went back behind that; the
+-- frame keys of the messages before and behind it that changed a fault.  Nil while none is set.
+function Faults:state(message)
+  local keys, key = self.keys, message.key
+  local last = last_until(keys, key)
+  local since, is_change = self.since[last], keys[last] == key
+  if not (since or is_change) then return nil end
+  local active_time = since and message.time >= since and message.time - since or nil
+  return active_time, keys[is_change and last - 1 or last], keys[last + 1]
 end
 
 return M

@@ -40,7 +40,9 @@ end
 
 local function add_field(message_type, field, add)
   local about = describe(message_type, field)
-  local kind, base = field_kinds.BY_NAME[field.kind].filter(field)
+  local kind, base = field_kinds.BY_NAME[field.kind].filter, nil
+  if kind:find("INT") then kind = kind .. (field.size > 4 and 64 or 8 * field.size) end
+  if kind:find("^UINT") and (field.values or field.flags) then base = "HEX" end
   if field.flags then add_flags(message_type, field, about, add) end
   if field.special then
     local why = "Why there is no number, a reserved count, NaN or infinity: " .. about

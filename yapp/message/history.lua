@@ -46,24 +46,27 @@ function M.new(options)
     options = options,
     by_source = {}, -- [source] = see new_source
     commands = {}, -- [name of a message that others answer][bus or false] = frame keys, ascending
-    deltas = {}, -- [frame key] = seconds since the source's previous good message, or false
+    -- For revisits, by the frame key of a message:
+    changes = {}, -- its change, or nil
+    deltas = {}, -- seconds since the source's previous good message, or false
   }, History)
-  for _, of_type in ipairs(options.catalogue.messages) do
-    if of_type.answers then self.commands[of_type.answers] = memo(function() return {} end) end
+  for _, message_type in ipairs(options.catalogue.messages) do
+    local answered = message_type.answers
+    if answered then self.commands[answered] = memo(function() return {} end) end
   end
   return self
 end
 
 local function new_source(self, message)
-  local of_type, bus = message.source.type or NO_TYPE, message.source.bus_key or false
-  local options, answered = self.options, self.commands[of_type.answers]
+  local message_type, bus = message.source.type or NO_TYPE, message.source.bus_key or false
+  local options, answered = self.options, self.commands[message_type.answers]
   local has_times, has_clock = options.buses:has_times()
-  local answering = self.commands[of_type.name]
+  local answering = self.commands[message_type.name]
   return {
     -- Its message type:
-    flag_fields = of_type.flag_fields,
-    period = of_type.every or 0,
-    longest = has_times and options.late * (of_type.every or huge) + HALF_NANOSECOND or huge,
+    flag_fields = message_type.flag_fields,
+    period = message_type.every or 0,
+    longest = has_times and options.late * (message_type.every or huge) + HALF_NANOSECOND or huge,
     has_times = has_times,
     has_clock = has_clock,
     -- The previous good message:
@@ -85,12 +88,8 @@ local function new_source(self, message)
     doubtful_count = -huge, -- the same at the latest one that a shared source may explain
     doubtful_key = nil, -- frame key of the first of these, with less than MAX_CALM between them
     shared_key = huge, -- frame key of the message that proves that controllers share the source
-    -- By the frame key of a message:
-    changes = {}, -- [frame key] = change
-    base_keys = {}, -- ascending: the first clock, and reboots
+    base_keys = {}, -- ascending, frame keys: the first clock, and reboots
     bases = {}, -- of each: seconds of the controller's clock less the capture's
-    fault_keys = {}, -- ascending: where faults change
-    active_since = {}, -- of each: when the oldest fault that is still set was raised, or false
     commands = answered and answered[bus], -- ascending: the messages that they answer
     own = answering and answering[bus], -- ascending: if others answer them
   }
@@ -232,12 +231,8 @@ end
 -- "faults": those among these flags that rise or fall.
 local function detect_faults(source, message, _, change)
   local flags = change and change.flags
-  local steps = flags and source.faults:update(flags, message.time)
-  if not steps then return nil end
-  local keys, key = source.fault_keys, message.key
-  if keys[#keys] ~= key then insert(keys, key) end
-  source.active_since[#keys] = source.faults:oldest_time()
-  return "faults", steps
+  local steps = flags and source.faults:update(flags, message)
+  if steps then return "faults", steps end
 end
 
 -- "missing": how many messages Seq No says are missing: 7, 9 is one.  A source that does not number
@@ -286,7 +281,6 @@ local function update(source, message, delta)
   elseif change then
     mark_doubtful(source, key, change)
   end
-  if change or source.changes[key] then source.changes[key] = change end
   return change
 end
 
@@ -309,33 +303,26 @@ end
 --   unreliable  true at the messages behind that one, which get nothing else }
 --          and the seconds since the source's previous good message, false for the first
 function History:add(message, is_only_pass)
-  local source = self.by_source[message.source]
+  local source, key, change = self.by_source[message.source], message.key, nil
   if not source then
     source = new_source(self, message)
     self.by_source[message.source] = source
   end
   local delta = source.time and message.time - source.time or false
-  if not is_only_pass then self.deltas[message.key] = delta end
-  if message.status ~= "good" then return nil, delta end
-  source.time = message.time
-  if source.own then insert(source.own, message.key) end
-  if message.key > source.shared_key then return UNRELIABLE, delta end
-  return update(source, message, delta), delta
+  if message.status == "good" then
+    source.time = message.time
+    if source.own then insert(source.own, key) end
+    change = key > source.shared_key and UNRELIABLE or update(source, message, delta)
+  end
+  if not is_only_pass then self.changes[key], self.deltas[key] = change, delta end
+  return change, delta
 end
 
 --- Return the results of History:add, at any later time and in any order; nil and nil for a
 -- message that was not added.
 -- message  as it was added
 function History:change(message)
-  local source, key = self.by_source[message.source], message.key
-  local delta = self.deltas[key]
-  if not source or message.status ~= "good" then return nil, delta end
-  return key > source.shared_key and UNRELIABLE or source.changes[key], delta
-end
-
--- Return the seconds from one time to another, nil if the capture's clock went back behind that.
-local function span(from, to)
-  return from <= to and to - from or nil
+  return self.changes[message.key], self.deltas[message.key]
 end
 
 --- Return the state at a message, whether the message changes it or not.
@@ -352,19 +339,15 @@ function History:state(message)
   local source, key = self.by_source[message.source], message.key
   if not source or message.status ~= "good" or key >= source.shared_key then return nil end
   local base = source.bases[last_until(source.base_keys, key)]
-  local clock, commands, faults = base and clock_of(message), source.commands, source.fault_keys
-  local last = last_until(faults, key)
-  local since, is_change = source.active_since[last], faults[last] == key
-  local state = {
+  local clock, commands = base and clock_of(message), source.commands
+  local active_time, previous_change, next_change = source.faults:state(message)
+  return {
     drift = clock and clock / 1e9 - message.time - base,
     command_in = commands and commands[last_until(commands, key - 1)],
-    active_time = since and span(since, message.time),
+    active_time = active_time,
+    previous_change = previous_change,
+    next_change = next_change,
   }
-  if since or is_change then
-    state.previous_change = faults[is_change and last - 1 or last]
-    state.next_change = faults[last + 1]
-  end
-  return state
 end
 
 return M

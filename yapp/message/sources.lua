@@ -24,7 +24,6 @@ local M = {}
 
 local trim = input.trim
 
-local MAX_NAME = 64 -- bytes
 local SHAPE = "write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME"
 
 local Sources = {}
@@ -98,71 +97,44 @@ local function expand_names(name, ranges)
   return names
 end
 
--- Return the IPv6 address of a bus, nil for none, and whether Wireshark writes it so.
-local function ipv6_of(bus)
-  local address = bus:match("^%[([%x:]+)%]:?%d*$") or bus:match("^%x*:[%x:]*:%x*$")
-  if not address then return nil, true end
-  local is_short, _, colons = address:find("::", 1, true), address:gsub(":", "")
-  if address == bus and not is_short and colons < 7 then return nil, true end -- 00:1b:2c
-  local has_zeros = address:find("%f[%x]0%x") or not is_short and address:find("%f[%x]0:0")
-  return address, not has_zeros
-end
-
--- Raise that no sender has such an address: a byte above 255, a port above 65,535, an IPv6 address
--- in another form than Wireshark's.
--- returns  the bus, an IPv6 address in small letters
-local function check_address(bus)
-  local a, b, c, d, port = bus:match("^(%d+)%.(%d+)%.(%d+)%.(%d+):?(%d*)$")
-  port = port or bus:match("^%[.*:.*%]:(%d+)$")
-  local ipv6, is_possible = ipv6_of(bus)
-  is_possible = is_possible and (tonumber(port) or 0) < 65536
-  for _, byte in ipairs { a, b, c, d } do is_possible = is_possible and tonumber(byte) < 256 end
-  local advice = "write 192.168.1.12:40000 or [fe80::1]:14550"
-  demand(is_possible, ('no address "%s"'):format(bus), advice)
-  return ipv6 and bus:lower() or bus
-end
-
--- Read a part.
--- returns  the bus, the ranges of IDs, the message type and the name: nil for each that it does
---          not say
-local function parse_part(part, catalogue)
-  local bus, id_text, value = split_part(part)
-  local ids = id_text and parse_ids(id_text)
+-- Read what a part says of its IDs: "motor:left" or "left".
+-- returns  the message type and the name, nil for each that it does not give
+local function parse_value(value, ranges, catalogue)
   local message_name, name = value:match("^(.-):(.*)$")
   name = trim(name or value)
-  demand(not name:find(";.*="), "a semicolon", "separate sources by commas")
-  demand(#name <= MAX_NAME, "a long name", ("the longest has %d bytes"):format(MAX_NAME))
   demand(name == "" or input.is_text(name), "a name that cannot be shown", "use letters")
   if not message_name then
     demand(name ~= "", "no name", SHAPE)
-    return bus, ids, nil, name
+    return nil, name
   end
-  demand(ids, "a message for a whole bus", "name its ID, too")
+  demand(ranges, "a message for a whole bus", "name its ID, too")
   message_name = trim(message_name)
-  local message, known = input.find(catalogue.messages, message_name)
-  demand(message, ('no message "%s"'):format(message_name), "known messages: " .. (known or ""))
-  return bus, ids, message, name ~= "" and name or nil
+  local message_type, known = input.find(catalogue.messages, message_name)
+  local problem = ('no message "%s"'):format(message_name)
+  demand(message_type, problem, "known messages: " .. (known or ""))
+  return message_type, name ~= "" and name or nil
 end
 
 -- Add a row for an ID, or for all of a bus; return whether an earlier part has it.
-local function add_row(self, bus, id, of_type, name)
-  local of_bus = self.by_bus[bus or false]
-  if of_bus[id or "every"] then return true end
-  local row = { bus = bus, id = id, type = of_type, name = name }
-  of_bus[id or "every"] = row
+local function add_row(self, bus, id, message_type, name)
+  local rows = self.by_bus[bus or false]
+  if rows[id or "every"] then return true end
+  local row = { bus = bus, id = id, type = message_type, name = name }
+  rows[id or "every"] = row
   self.rows[#self.rows + 1] = row
 end
 
 -- Add the rows of a part; raise if an earlier part has one.
 local function add_part(self, part, catalogue)
-  local bus, ranges, of_type, name = parse_part(part, catalogue)
-  local names, is_repeated = ranges and expand_names(name or "", ranges), false
-  bus = bus and check_address(bus)
-  if not ranges then is_repeated = add_row(self, bus, nil, nil, name) end
+  local bus, ids, value = split_part(part)
+  local ranges = ids and parse_ids(ids)
+  local message_type, name = parse_value(value, ranges, catalogue)
+  local names = ranges and expand_names(name or "", ranges)
+  local is_repeated = not ranges and add_row(self, bus, nil, nil, name)
   for _, range in ipairs(ranges or {}) do
     for id = range[1], range[2] do
       local own = names and names[id - range[1] + 1] or name
-      is_repeated = add_row(self, bus, id, of_type, own) or is_repeated
+      is_repeated = add_row(self, bus, id, message_type, own) or is_repeated
     end
   end
   demand(not is_repeated, "a bus and ID once more", "the first part that names them holds")
@@ -178,8 +150,8 @@ end
 --- Read the preference.
 -- text       of the user
 -- catalogue  compiled
--- returns    the sources; and a list of errors: a part that cannot be read is left
---            out, the others hold
+-- returns    the sources; and a list of errors: a part that cannot be read is left out, the others
+--            hold
 function M.parse(text, catalogue)
   local by_bus, problems = memo(function() return {} end), {} -- [bus or false][ID] = a row
   local self = setmetatable({ by_bus = by_bus, rows = {} }, Sources)
@@ -189,8 +161,8 @@ function M.parse(text, catalogue)
     local ok, wrong = true, nil
     if part ~= "" then ok, wrong = pcall(add_part, self, part, catalogue) end
     if not ok then
-      local where = reveal(part)
-      local problem = ('yapp.sources: %s in "%s"; %s'):format(wrong.problem, where, wrong.advice)
+      local shape = 'yapp.sources: %s in "%s"; %s'
+      local problem = shape:format(wrong.problem, reveal(part), wrong.advice)
       problems[#problems + 1] = utf8.printable(problem)
     end
   end
@@ -221,8 +193,8 @@ end
 -- interface  of a sender in UDP or TCP: the name of the interface, or nil
 function Sources:find(bus, id, interface)
   local own, name = nil, nil
-  for _, of_bus in ipairs(rows_of(self, bus, interface)) do
-    local row, every = of_bus[id], of_bus.every
+  for _, rows in ipairs(rows_of(self, bus, interface)) do
+    local row, every = rows[id], rows.every
     own, name = own or row, name or row and row.name or every and every.name
   end
   own = own or self.by_bus[false][id]
@@ -233,15 +205,15 @@ end
 --- Return whether a part is about an ID on a bus, or on a bus with a name that includes that one.
 -- bus  name, nil for a part without a bus
 function Sources:has_part(bus, id)
-  for _, of_bus in ipairs(bus and rows_of(self, bus) or { self.by_bus[false] }) do
-    if of_bus[id] then return true end
+  for _, rows in ipairs(bus and rows_of(self, bus) or { self.by_bus[false] }) do
+    if rows[id] then return true end
   end
   return false
 end
 
 --- Return whether a part names a bus, itself and not one that includes it.
 function Sources:names_bus(bus)
-  return rawget(self.by_bus, bus) ~= nil
+  return next(self.by_bus[bus]) ~= nil
 end
 
 --- Return all that was read: a list of { bus = name or nil, id = nil for all of a bus, type =

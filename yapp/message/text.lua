@@ -14,7 +14,6 @@ local memo = require "yapp.base.memo"
 local M = {}
 
 local format, concat, unpack = string.format, table.concat, rawget(table, "unpack")
-local ordinary_value = field_kinds.ordinary_value
 local KINDS = field_kinds.BY_NAME
 
 -- Writers ----------------------------------------------------------------------------------------
@@ -25,7 +24,8 @@ local KINDS = field_kinds.BY_NAME
 --   field
 --   write   function(raw) -> text; where index is nil, it takes all raw values
 --   absent  the text of a missing field
---   shape   a format for the value of a compressed float, else nil }
+--   number, shape  of a compressed float: function(raw) -> its value, nil for a reserved one; and
+--           its format }
 -- and end with the text `after`.
 
 -- Write the pieces one by one: a message that lacks a field, or has a reserved value.
@@ -42,30 +42,41 @@ end
 -- Make a function(raws) -> text.  A usual message is formatted at once: piece by piece, a table of
 -- CSV takes 10 % longer.
 local function new_writer(pieces)
-  local shapes, values, count = {}, {}, #pieces
+  local shapes, indexes, readers, values, count = {}, {}, {}, {}, #pieces
   for i, piece in ipairs(pieces) do
     shapes[i] = piece.before:gsub("%%", "%%%%") .. (piece.shape or "%s")
+    indexes[i], readers[i] = piece.index or false, piece.number or piece.write
   end
   local shape = concat(shapes) .. pieces.after:gsub("%%", "%%%%")
   return function(raws)
     for i = 1, count do
-      local piece = pieces[i]
-      local raw, field = raws, piece.field
-      if piece.index then raw = raws[piece.index] end
-      if not raw then return write_each(pieces, raws) end
-      if not piece.shape then
-        values[i] = piece.write(raw)
-      elseif raw <= field.ordinary then
-        values[i] = ordinary_value(field, raw)
-      else
-        return write_each(pieces, raws)
-      end
+      local index, raw = indexes[i], raws
+      if index then raw = raws[index] end
+      local value = raw and readers[i](raw)
+      if not value then return write_each(pieces, raws) end
+      values[i] = value
     end
     return format(shape, unpack(values, 1, count))
   end
 end
 
 -- The Info column --------------------------------------------------------------------------------
+
+local SPECIAL_WORDS = { [0] = "NaN", "+inf", "-inf", "above range", "below range" }
+
+-- Return a function(raw) -> the text of a field.
+-- shape  a format for a number with a fraction, or nil
+local function info_writer(field, shape)
+  local kind = KINDS[field.kind]
+  local words, unit = field.values or kind.words, kind.unit and " " .. kind.unit or ""
+  local invalid = "invalid " .. (kind.code or "0x%x")
+  return function(raw)
+    if words then return words[raw] or format(invalid, raw) end
+    local value, special = field_kinds.value(field, raw)
+    if special then return SPECIAL_WORDS[special] end
+    return shape and format(shape, value) or field_kinds.text(field, raw) .. unit
+  end
+end
 
 -- Return the piece of a field, and the text of its unit if that follows.
 -- rest  the text behind its name: ":%.1f unit"
@@ -77,13 +88,14 @@ local function info_piece(message_type, before, name, rest)
   local is_real = field.special or field.scale
   input.demand(shape == "" or is_real and shape:find("^%%%.?%d?[fg]$"),
     "info: the format %s is not one for %s", input.shown(shape), name)
-  if shape == "" then shape = "%.4g" end
+  if shape == "" then shape = is_real and "%.4g" end
   return {
     before = before,
     field = field,
     index = field.index,
-    shape = field.kind == "float" and shape or nil,
-    write = KINDS[field.kind].info(field, shape),
+    number = field.number,
+    shape = field.number and shape,
+    write = info_writer(field, shape),
     absent = "-",
   }, unit ~= "" and " " .. field.unit or ""
 end
@@ -145,6 +157,8 @@ end
 
 -- CSV --------------------------------------------------------------------------------------------
 
+-- The cells of a reserved value: no number, and its name.
+local SPECIAL_CELLS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" }
 -- Names of columns that stat.csv puts in front of a message's own.
 local TAKEN = "time frame bus source id seq crc_good"
 
@@ -190,6 +204,33 @@ function M.columns(message_type)
   return columns
 end
 
+--- Return a text as a cell of CSV: in quotes where it must be.
+function M.quoted(text)
+  if text:find('[,"\r\n]') then return '"' .. text:gsub('"', '""') .. '"' end
+  return text
+end
+
+-- Return the cells of a field, or of a derived value.
+local function cells_of(field, raw)
+  local text, special = field_kinds.text(field, raw)
+  if field.special then return text and text .. "," or SPECIAL_CELLS[special] end
+  if field.values then return text .. "," .. M.quoted(field.values[raw] or "") end
+  if not field.flags then return M.quoted(text or "") end
+  for _, flag in ipairs(field.flags) do
+    text = text .. (band(raw, flag.mask) ~= 0 and ",1" or ",0")
+  end
+  return text
+end
+
+-- Return a function(raw) -> cells.  It keeps the latest: flags and the like seldom change.
+local function cells_writer(field)
+  local latest, cells = nil, nil
+  return function(raw)
+    if raw ~= latest then latest, cells = raw, cells_of(field, raw) end
+    return cells
+  end
+end
+
 local row_writers = memo(function(message_type)
   local pieces = { after = "" }
   for i, field in ipairs(fields_of(message_type)) do
@@ -197,8 +238,9 @@ local row_writers = memo(function(message_type)
       before = i > 1 and "," or "",
       field = field,
       index = field.index,
-      shape = field.kind == "float" and field.shape .. "," or nil,
-      write = field_kinds.cells_of(field),
+      number = field.number,
+      shape = field.number and field.shape .. ",",
+      write = cells_writer(field),
       absent = (","):rep(#columns_of(field) - 1),
     }
   end

@@ -36,10 +36,10 @@ end
 function Types:use(by_id, sources, hidden, visit)
   self.by_id, self.sources, self.hidden = by_id, sources, hidden
   local first, several = {}, {}
-  local function count(of_type, id)
+  local function count(message_type, id)
     visit(id)
-    first[of_type] = first[of_type] or id
-    if first[of_type] ~= id then several[of_type] = true end
+    first[message_type] = first[message_type] or id
+    if first[message_type] ~= id then several[message_type] = true end
   end
   for _, row in ipairs(sources:list()) do
     if row.type then count(row.type, row.id) end
@@ -63,30 +63,31 @@ end
 
 --- Return the payload size of that type and the smallest that it may have, nil for none.
 function Types:size_of(id)
-  local of_type = self:type_of(id)
-  if of_type then return of_type.size, of_type.min_size end
+  local message_type = self:type_of(id)
+  if message_type then return message_type.size, message_type.min_size end
 end
 
 -- Return the title of an ID's message type: "Motor Data", or "ID 0x123".
-local function title_of(of_type, id)
-  return of_type and of_type.title or ("ID 0x%x"):format(id)
+local function title_of(message_type, id)
+  return message_type and message_type.title or ("ID 0x%x"):format(id)
 end
 
 -- Return the function that writes the values in Info, nil without a message type.
-local function write_of(of_type, hides_values)
-  return of_type and (hides_values and of_type.info_rest or of_type.info)
+local function write_of(message_type, hides_values)
+  return message_type and (hides_values and message_type.info_rest or message_type.info)
 end
 
 -- Return the label of a message: its title and the name of its source.  Without a name, the ID or
 -- bus follows if it tells the source from others: "Motor Data left", "Motor Data 0x212 (can1)",
 -- "Motor Data", "ID 0x123".
-local function label_of(self, of_type, name, id, bus)
-  local title = title_of(of_type, id)
-  local is_usual = not of_type or id == of_type.id and not self.several_ids[of_type]
+local function label_of(self, message_type, name, id, bus)
+  local title = title_of(message_type, id)
+  local is_usual = not message_type or id == message_type.id and not self.several_ids[message_type]
   if name then return title .. " " .. name end
   local needs_bus = bus and self.has_several
   if is_usual and not needs_bus then return title end
-  return title .. (of_type and (" 0x%x"):format(id) or "") .. (bus and (" (%s)"):format(bus) or "")
+  if message_type then title = ("%s 0x%x"):format(title, id) end
+  return bus and ("%s (%s)"):format(title, bus) or title
 end
 
 -- Return the text of the column Source without a name: "can1 0x210", "10.0.0.1:14550 0x210",
@@ -107,25 +108,27 @@ end
 --   label     the name of its messages
 --   short     the same without the source, if a column shows that
 --   write     function(raws) -> the values in Info, nil without a message type
---   text      for the column Source: the name, else bus and ID, where they differ from others' }
+--   text      for the column Source: the name, else bus and ID, where they differ from others'
+--   texts     of the fragments of its messages, see show.frame }
 function Types:new_source(id, bus_key, bus, line)
   local interface = line and line.interface or nil
-  local of_type, name = self.sources:find(bus, id, interface)
-  of_type = of_type or self.by_id[id]
-  local label = label_of(self, of_type, name, id, bus)
+  local message_type, name = self.sources:find(bus, id, interface)
+  message_type = message_type or self.by_id[id]
+  local label = label_of(self, message_type, name, id, bus)
   return {
     id = id,
     bus = bus,
     bus_key = bus_key,
     line = line,
     name = name,
-    type = of_type,
-    size = (of_type or NONE).size,
-    min_size = (of_type or NONE).min_size,
+    type = message_type,
+    size = (message_type or NONE).size,
+    min_size = (message_type or NONE).min_size,
     label = label,
-    short = self.hidden.source and title_of(of_type, id) or label,
-    write = write_of(of_type, self.hidden.values),
+    short = self.hidden.source and title_of(message_type, id) or label,
+    write = write_of(message_type, self.hidden.values),
     text = name or column_text(self, id, bus, line),
+    texts = {},
   }
 end
 

@@ -64,12 +64,12 @@ end
 function ADD.number(field, fields)
   local pf, special_pf = fields[field.filter], fields[field.special]
   local label, unit = field.title .. ": ", field.unit and " " .. field.unit or ""
-  local bytes, write = " (0x%0" .. field.size * 2 .. "x)", field_kinds.new_number_text(field)
+  local bytes = " (0x%0" .. field.size * 2 .. "x)"
   return function(parent, range, raw)
-    local text, special = write(raw)
+    local text, special = field_kinds.text(field, raw)
     if text then return add(parent, pf, range, tonumber(text), label .. text .. unit) end
     text = label .. field_kinds.SPECIALS[special]
-    if field.kind == "float" and raw >= 0 then text = text .. format(bytes, raw) end
+    if field.kind == "float" then text = text .. format(bytes, raw) end
     return set_text(add(parent, special_pf, range, special), text)
   end
 end
@@ -158,8 +158,7 @@ end
 
 -- Return a function(raws) -> the number of a generated value, or nil.
 local function new_generated(item)
-  local write = field_kinds.new_number_text(item)
-  return function(raws) return tonumber(write(raws) or "") end
+  return function(raws) return tonumber(field_kinds.text(item, raws) or "") end
 end
 
 -- Return a function(raws) -> the number of a value with as many digits as a column needs, or nil.

@@ -5,7 +5,6 @@
 -- FOLDER/motor.csv ...  time, frame, bus, source, id, seq, then the columns of the message
 -- FOLDER/fields.json    the description of each column
 
-local field_kinds = require "yapp.message.field_kinds"
 local joined = require "yapp.base.joined"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
@@ -36,7 +35,7 @@ Csv.__index = Csv
 
 -- Return the parts of a source's rows.
 local function parts_of(source)
-  local bus, name = field_kinds.quoted(source.bus or ""), field_kinds.quoted(source.name or "")
+  local bus, name = text_of.quoted(source.bus or ""), text_of.quoted(source.name or "")
   return {
     cells = ("%s,%s,%d"):format(bus, name, source.id), -- "can0,left,528"
     write = text_of.row_writer(source.type), -- function(raws) -> those of the message
@@ -52,7 +51,7 @@ end
 local function begin(self, message_type, file)
   local names = {}
   for i, column in ipairs(columns_of(self, message_type)) do
-    names[i] = field_kinds.quoted(column.name)
+    names[i] = text_of.quoted(column.name)
   end
   file:write(table.concat(names, ",") .. "\n")
   self.tables[message_type] = { file = file, rows = 0 }
