@@ -209,13 +209,12 @@ function make_reading()
   reset_reading()
 end
 
--- Return the options of tshark that may decode packets in which no YAPP was found, those of them
--- that certainly decode YAPP, and the number of headers that they decode.
+-- Return the options of tshark that decode YAPP in packets in which none was found, and the number
+-- of headers that these have, 0 if it is not known.
 local function find_options()
   local found, options, count = buses.found, streams:undecoded_options()
-  local serial_options = streams:has_serial() and {} or found:serial_options()
-  local certain = joined(found.has_serial_frames and serial_options or {}, options)
-  return joined(serial_options, options), certain, count
+  if not found.has_serial_frames or streams:has_serial() then return options, count end
+  return joined(found:serial_options(), options), count
 end
 
 -- Dissectors --------------------------------------------------------------------------------------

@@ -670,7 +670,7 @@ def test_what_no_message_is_found_in(folder):
     standard = [(BEGIN + index, Frame(0x123, bytes(8), kind="standard")) for index in range(3)]
     extended = "no YAPP message found; 120 extended CAN frames were not dissected: see yapp.motor_ids, yapp.all_extended"
     for placed, text in ((foreign, extended), (flight(OTHER, seq=1, count=24), extended),
-                         (standard, "no YAPP message found in 3 packets: no CAN data frame has a 29-bit id"), ([], "no YAPP message found: the capture has no packets, or -R removed all of them")):
+                         (standard, "no YAPP message found in 3 packets: see yapp.user_dlt"), ([], "no YAPP message found: the capture has no packets, or -R removed all of them")):
         (folder / "run.pcapng").write_bytes(pcapng(placed))
         for passes in (), ("-2",):
             done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,summary", "-z", "yapp,faults,json", "-z",

@@ -469,11 +469,11 @@ function T.test_options_that_may_decode_more()
   said["streams.undecoded_options"] = { "-d tcp" }
   local _, found = open(true)
   local parts = seen.made.taps[1]
-  lu.assertEquals({ parts.find_options() }, { { "-d serial", "-d tcp" }, { "-d tcp" } })
+  lu.assertEquals(parts.find_options(), { "-d tcp" })
   found.has_serial_frames = true
-  lu.assertEquals({ parts.find_options() }, { { "-d serial", "-d tcp" }, { "-d serial", "-d tcp" } })
+  lu.assertEquals(parts.find_options(), { "-d serial", "-d tcp" })
   said["streams.has_serial"] = true
-  lu.assertEquals({ parts.find_options() }, { { "-d tcp" }, { "-d tcp" } })
+  lu.assertEquals(parts.find_options(), { "-d tcp" })
   found.may_have_frames = true
 end
 

@@ -34,7 +34,7 @@ end
 local function finish(queue, unfinished, unread)
   local results = {}
   for i, event in ipairs(unfinished or {}) do results[i] = result_of(event) end
-  return { queue:finish { results = results, unread = unread, drops = {}, extended = 0, can = 0 } }
+  return { queue:finish { results = results, unread = unread, drops = {}, extended = 0 } }
 end
 
 -- A statistic that notes the raw values of what it gets, which are names here.

@@ -82,8 +82,7 @@ local function new_stat(is_gui)
     wants = stand_in("wants", { first_pass = "wanted" }),
     calls = { begun = 0, ended = 0 },
     frames = { is_second_pass = function() return wireshark.is_second_pass end },
-    find_options = function() return { "-d some" }, { "-d certain" }, 5 end,
-    notes = function() return { "a note" } end,
+    find_options = function() return wireshark.undecoded or {}, 5 end,
     watch = function() seen.watched = seen.watched + 1 end,
     unwatch = function() seen.watched = seen.watched - 1 end,
     counted = function(call) return call end,
@@ -152,16 +151,18 @@ function T.test_what_the_end_is_told()
     results = { "results" },
     drops = { "of the buses", "of streams" },
     lacks_times = true,
-    options = { "-d some" },
-    certain = { "-d certain" },
-    undecoded = 5,
     extended = 7,
-    can = 9,
     problems = {},
   })
   lu.assertEquals(seen.may_go_on, true) -- packets may be revisited
   lu.assertEquals(seen.packets[3], { 3, 0.3, false })
   lu.assertEquals(seen.added[2].what, "faults")
+end
+
+function T.test_headers_that_were_not_decoded()
+  wireshark.undecoded = { "-d a", "-d b" }
+  window():run("yapp,faults")
+  lu.assertEquals(seen.capture.problems, { "5 YAPP headers in this file were not decoded; try -d a -d b" })
 end
 
 function T.test_the_exact_time_is_that_of_the_first_packet()

@@ -118,8 +118,7 @@ end
 -- The end -----------------------------------------------------------------------------------------
 
 -- Return why a capture has no message; nil if it has one.
-local function explain_nothing_found(self, capture)
-  local extended = capture.extended
+local function explain_nothing_found(self, extended)
   if self.events.has_messages then return nil end
   if extended > 0 then
     local text = "no YAPP message found; %s not dissected: see yapp.motor_ids, yapp.all_extended"
@@ -129,22 +128,7 @@ local function explain_nothing_found(self, capture)
     return "no YAPP message found: the capture has no packets, or -R removed all of them"
   end
   local packets = output.count(self.packets, "packet")
-  if capture.can > 0 and capture.can == self.packets then
-    return ("no YAPP message found in %s: no CAN data frame has a 29-bit id"):format(packets)
-  end
-  local options = table.concat(capture.options or {}, " or ")
-  local advice = options ~= "" and "try " .. options or "see " .. SEARCH_PREFERENCES
-  return ("no YAPP message found in %s: %s"):format(packets, advice)
-end
-
--- Return the traces of YAPP in other packets: a list of texts.
-local function list_undecoded(reason, capture)
-  if not (capture.certain and capture.certain[1]) then return {} end
-  if reason then return { "the capture has YAPP that was not decoded" } end
-  local text = "%s in this file %s not decoded; try %s"
-  local headers, options = capture.undecoded, table.concat(capture.certain, " ")
-  local count = headers > 0 and output.count(headers, "YAPP header") or "YAPP headers"
-  return { text:format(count, headers == 1 and "was" or "were", options) }
+  return ("no YAPP message found in %s: see %s"):format(packets, SEARCH_PREFERENCES)
 end
 
 -- Return why times of packets mean nothing; nil if they mean something.
@@ -179,12 +163,8 @@ end
 -- capture  {
 --   results      of Reading:finish
 --   drops        of capture.capture
---   options      list of tshark's options that may decode other packets, or nil
---   certain      those of them that certainly decode YAPP
---   undecoded    how many headers of YAPP these decode
---   notes        list of texts to say besides, or nil
 --   lacks_times  true if packets have no time stamps
---   extended     number of extended CAN frames that were not dissected; can = of all CAN frames
+--   extended     number of extended CAN frames that were not dissected
 --   problems     list of texts: why not all was read
 --   unread       the same in short if packets were left out, nil if none }
 -- returns  the exit code, and a list of texts to say
@@ -199,7 +179,7 @@ function Run:finish(capture)
     return kinds.span(event.frame < step.number and step.time or event.time, last)
   end
   self.events:finish(length_since)
-  local reason = explain_nothing_found(self, capture)
+  local reason = explain_nothing_found(self, capture.extended)
   local ending = {
     last = self.last, -- seconds from the first packet to the last one, nil for none
     length_since = length_since, -- function(event) -> seconds from a message to the end
@@ -209,7 +189,7 @@ function Run:finish(capture)
     lacks_times = explain_times(self, capture),
     steps = self.steps, -- how often its stamps went back
     -- Wishes of the user that were not met, and why not all was read: texts.
-    problems = joined(self.settings.problems, capture.problems, list_undecoded(reason, capture)),
+    problems = joined(self.settings.problems, capture.problems),
     unread = capture.unread, -- the same in short if packets were left out
     drops = capture.drops,
     hint = self.hint,
@@ -220,7 +200,7 @@ function Run:finish(capture)
     if worse and (code == output.EXIT_OK or worse < code) then code = worse end
     texts = joined(texts, { text }, notes)
   end
-  return code, without_repeats(joined(texts, capture.notes))
+  return code, without_repeats(texts)
 end
 
 return M

@@ -20,6 +20,7 @@ local UNREAD = "only %d of %d packets were read, as the reading was stopped, or 
   "read: press Refresh"
 local GOES_ON = "only %s were read: the live capture (-b) went on in %s, which tshark " ..
   "does not analyse: read each file with tshark -r"
+local UNDECODED = "%s in this file %s not decoded; try %s"
 local RELOADED = "Lua plugins were reloaded while the capture was open, so not all of it is " ..
   "known: reload the capture, too (Ctrl+R)"
 local BUSY = "YAPP: another window is still reading the packets: press Refresh when it is done\n"
@@ -37,8 +38,8 @@ Stat.__index = Stat
 --     problems      list of texts: wishes of the user that were not met }
 --   wants = a show.wants, buses = a capture.capture
 --   reading    a reading.reading, frames = a host.can, headers = its host.header
---   find_options  function() -> list of tshark's options that may decode other packets, and
---              those of them that certainly decode YAPP
+--   find_options  function() -> list of tshark's options that decode other packets, and the number
+--              of headers that these have, 0 if it is not known
 --   watch      function(), called when statistics begin
 --   unwatch    function(), called in Wireshark when one has ended, and when packets have come
 --   counted    function(f) -> f, whose calls are counted
@@ -142,23 +143,26 @@ local function explain_unread(self)
   return GOES_ON:format(output.count(packets, "packet"), more)
 end
 
+-- Return that YAPP in this file was not decoded; nil if no trace of it was found.
+local function explain_undecoded(self)
+  local options, count = self.find_options()
+  if not options[1] then return nil end
+  local headers = count > 0 and output.count(count, "YAPP header") or "YAPP headers"
+  return UNDECODED:format(headers, count == 1 and "was" or "were", table.concat(options, " "))
+end
+
 -- End all statistics; return the exit code, and a list of texts to say.
 local function finish(self)
   local failures, unread = self.calls.begun - self.calls.ended, explain_unread(self)
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
-  local reading, buses, headers = self.reading, self.buses, self.headers
+  local reading, buses = self.reading, self.buses
   local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
-  local options, certain, undecoded = self.find_options()
   return self.current:finish {
     results = reading:finish(MAY_GO_ON),
     drops = joined(buses:drops(), reading:drops()),
     lacks_times = not buses:has_times(),
-    options = options,
-    certain = certain,
-    undecoded = undecoded,
-    extended = headers.extended,
-    can = headers.can,
-    problems = joined({ failed }, { unread }, { reloaded }),
+    extended = self.headers.extended,
+    problems = joined({ failed }, { unread }, { reloaded }, { explain_undecoded(self) }),
     unread = unread and "not all packets were read",
   }
 end
