@@ -729,7 +729,7 @@ def test_commands_of_the_page(folder):
     (folder / "candump.log").write_text(log)
     for path in folder.iterdir():
         path.chmod(0o666)
-    assert len(COMMANDS) == 15
+    assert len(COMMANDS) == 14
     for command in COMMANDS:
         done = test_readme.shell(folder, command)
         assert done.returncode == 0, (command, done.stderr)
