@@ -16,8 +16,6 @@ if loaded then
   io.stderr:write(text:format(here, VERSION, loaded.path, loaded.version), "\n")
   return loaded
 end
-local say_clone = package.loaded["yapp.base.alone"] -- Wireshark ran it: it says so again at the end
-if say_clone then say_clone() end
 set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
   description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }
 
@@ -36,30 +34,18 @@ end)
 
 local binary = require "yapp.message.binary"
 local captures = require "yapp.capture.capture"
-local can_id = require "yapp.wire.can_id"
+local can_ids = require "yapp.host.can_ids"
 local compiler = require "yapp.message.catalogue"
 local field_kinds = require "yapp.message.field_kinds"
 local file_readers = require "yapp.file.readers"
 local frame = require "yapp.wire.frame"
 local joined = require "yapp.base.joined"
-local later = require "yapp.base.later"
 local message_types = require "yapp.message.types"
 local preferences = require "yapp.host.preferences"
 local show_fields = require "yapp.show.fields"
 local header_reader = require "yapp.host.header"
 local source_names = require "yapp.message.sources"
 local stat_names = require "yapp.stat.names"
-
--- Captures without YAPP need none of these.
-local can_dissector = later "yapp.host.can"
-local show_menu = later "yapp.show.menu"
-local reading_of = later "yapp.reading.reading"
-local stream_dissector = later "yapp.host.stream"
-local show_frame = later "yapp.show.frame"
-local show_packet = later "yapp.show.packet"
-local show_taurus = later "yapp.show.taurus"
-local show_wants = later "yapp.show.wants"
-local stat_taps = later "yapp.stat.taps"
 
 -- The user's own messages follow the plugin's.  They come from yapp_messages.lua in Wireshark's
 -- personal configuration folder, and from the files that a preference and the environment name.
@@ -105,55 +91,12 @@ for id, message in pairs(catalogue.by_id) do default_names[id] = message.title e
 local yapp_fields = show_fields.of_yapp(yapp, default_names, catalogue.messages)
 local taurus_fields = show_fields.of_taurus(taurus, catalogue.messages)
 
--- SocketCAN's table of ids calls YAPP for the ids registered in it alone, so other frames cost
--- nothing.
-local START, MIDDLE, END = can_id.START, can_id.MIDDLE, can_id.END
-local by_can_id = DissectorTable.get("can.extended_id")
-local is_registered = {} -- [ID] = true; of an unknown ID see register_start
-
--- Register the CAN ids of a CAN CTRL with some Seq Nos, and YAPP CTL 0.
-local function register(id, ctrl, first_seq, last_seq)
-  local first = id * 0x40000 + ctrl * 0x4000
-  by_can_id:add(("%d-%d"):format(first + first_seq, first + last_seq), yapp)
-end
-
--- Register the CAN ids of an ID that carries a message type.
-local function register_id(id)
-  if is_registered[id] == true then return end
-  is_registered[id] = true
-  for ctrl = 0, 3 do register(id, ctrl, 0, 0xFF) end
-end
-
--- Register those of an unknown ID as its Seq Nos come: all 1,024 CAN ids of each of 2,000 IDs take
--- three times as long as 40,000 frames.  Of the first IDs a Start registers all Starts, so that
--- none is lost behind messages that the capture lacks.  Of more IDs it registers the next ones: if
--- the capture lacks more than MIN_AHEAD messages in a row, the rest of the 256 is not decoded, and
--- counts as missing.
-local MAX_WHOLE, MIN_AHEAD, AHEAD = 64, 16, 32
-local unknown_count = 0
-
-local function register_start(id, seq)
-  local known = is_registered[id]
-  if known == true or known and known[seq] then return end
-  if not known then
-    known = { last = 0 } -- Seq No of the last Start; that of 0 is registered for all IDs
-    is_registered[id], unknown_count = known, unknown_count + 1
-  end
-  known[seq] = true
-  for ctrl = MIDDLE, END do -- it has no single frames
-    by_can_id:add(id * 0x40000 + ctrl * 0x4000 + seq, yapp)
-  end
-  local last = known.last
-  if last >= math.min(seq + MIN_AHEAD, 0xFF) then return end
-  known.last = unknown_count <= MAX_WHOLE and 0xFF or math.min(seq + AHEAD, 0xFF)
-  register(id, START, last + 1, known.last)
-end
-
 -- The preferences that others need, see stat.taps; read_preferences fills it.
 local settings = { version = VERSION, catalogue = catalogue, accepts_all = false }
 
 -- The objects that read and show YAPP; nil until something needs them, see make_reading.
 local reading, wants, frames, streams
+local ids -- of CAN, see Registration
 local stat -- the same of statistics, see make_statistics
 
 local function reset_reading()
@@ -179,14 +122,22 @@ local function counted(call)
   end
 end
 
--- Make the objects that read and show YAPP: a frame, a packet or a statistic needs them.
+-- Make the objects that read and show YAPP: a frame, a packet or a statistic needs them.  Captures
+-- without YAPP do not need their modules.
 function make_reading()
   if streams then return end
+  local can_dissector = require "yapp.host.can"
+  local reading_of = require "yapp.reading.reading"
+  local show_frame = require "yapp.show.frame"
+  local show_packet = require "yapp.show.packet"
+  local show_taurus = require "yapp.show.taurus"
+  local show_wants = require "yapp.show.wants"
+  local stream_dissector = require "yapp.host.stream"
   -- Nothing calls this dissector, as YAPP shows the Taurus messages.  It must exist, because the
   -- API asks by dissector whether a protocol is wanted (see show.wants).  When Wireshark ends, it
   -- looks for each dissector of ours in all its tables, so a start takes longer with more of them.
   function taurus.dissector() return 0 end
-  reading = reading_of.new(types, buses, register_start)
+  reading = reading_of.new(types, buses, function(...) ids:register_start(...) end)
   wants = show_wants.new(catalogue.messages, taurus_fields)
   local options = {
     yapp = yapp,
@@ -219,45 +170,27 @@ end
 
 -- Dissectors --------------------------------------------------------------------------------------
 
--- Return the CAN id of a frame that did not come through the table of ids, as host.header
--- does.
-local function find_id(pinfo)
-  local id, is_unknown = headers:find_id(pinfo)
-  -- From the next frame on the id is known.  Of frames that Wireshark shows once more, its columns
-  -- and trees have it.
-  if is_unknown or not pinfo.visited then headers:start() end
-  return id, is_unknown
+local registered = {} -- [list of heuristics] = true
+
+-- A heuristic costs time for each packet that no other dissector accepts, in every capture.  So
+-- each is registered when something needs it.
+local function register_heuristic(list, proto, dissect)
+  if not registered[list] then proto:register_heuristic(list, counted(dissect)) end
+  registered[list] = true
 end
 
 -- Decode As on CAN: every extended data frame is YAPP's.
-local function dissect_any(tvb, pinfo, root)
-  local id, is_unknown = find_id(pinfo)
-  if id then
-    local length = frames:dissect(tvb, pinfo, root, id, true)
-    if length > 0 then headers:forget() end
-    return length
-  end
-  return is_unknown and tvb:reported_len() > 0 and frames:dissect_without_id(tvb, pinfo, root) or 0
-end
+all.dissector = counted(function(...) return frames:dissect_any(...) end)
 
-all.dissector = counted(dissect_any)
-
--- The heuristic sees every frame that no other dissector accepts.  With the preference
--- yapp.all_extended it accepts them; for a statistic it notes them.  It costs time for each such
--- CAN frame of every capture, so it is registered only when one of the two needs it.
-local is_heuristic = false
-
-local function unclaimed(tvb, pinfo, root)
-  if settings.accepts_all then return dissect_any(tvb, pinfo, root) > 0 end
-  headers:remember(tvb, pinfo)
-  return false
-end
-
+-- See the CAN frames that no other dissector accepts: with the preference yapp.all_extended they
+-- are YAPP's; a statistic counts them.
 local function watch_unclaimed()
   headers:start()
-  if is_heuristic then return end
-  is_heuristic = true
-  all:register_heuristic("can", counted(unclaimed))
+  register_heuristic("can", all, function(tvb, pinfo, root)
+    if settings.accepts_all then return frames:dissect_any(tvb, pinfo, root) > 0 end
+    headers:remember(tvb, pinfo)
+    return false
+  end)
 end
 
 -- The first frame makes the reading, and gives the table of ids the dissector of the others.
@@ -276,25 +209,20 @@ skipped.dissector = counted(function(tvb, pinfo, root)
 end)
 
 -- A conversation becomes YAPP's with its first packet that is YAPP.
-local found_by_content = counted(function(tvb, pinfo, root)
+local function find_by_content(tvb, pinfo, root)
   if not streams:accepts(tvb, pinfo) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
   return true
-end)
+end
 
--- Each call of a heuristic costs time, and most captures are full of other TCP and UDP.  So search
--- only if the first bytes of a file may have a YAPP frame, if there are no packets yet (a live
--- capture), or for a statistic of tshark.
-local is_searching = false
-
+-- Search TCP, UDP and USB.  Most captures are full of others: so only if the first bytes of a file
+-- may have a YAPP frame, if there are no packets yet (a live capture), or for a statistic.
 local function search_streams()
   make_reading()
   streams:watch()
-  if is_searching then return end
-  is_searching = true
-  serial:register_heuristic("tcp", found_by_content)
-  serial:register_heuristic("udp", found_by_content)
+  register_heuristic("tcp", serial, find_by_content)
+  register_heuristic("udp", serial, find_by_content)
 end
 
 -- Return the controller's own time of a frame in a raw dump ("Nanoseconds since boot"), nil for
@@ -312,6 +240,7 @@ end
 local function make_statistics()
   if stat then return end
   make_reading()
+  local stat_taps = require "yapp.stat.taps"
   stat = stat_taps.new {
     settings = settings,
     wants = wants,
@@ -338,10 +267,13 @@ local function make_statistics()
   }
 end
 
--- Begin the statistic of an argument of -z.  No module may be missing then, needed or not.
+-- Begin the statistic of an argument of -z.  Wireshark swallows an error here.
 local function begin_statistic(text)
-  if not (gui_enabled() or later.load_all()) then os.exit(EXIT_UNDECIDED) end
-  make_statistics()
+  local ok, why = pcall(make_statistics)
+  if not ok then
+    io.stderr:write("yapp: cannot load the plugin: ", why, "; install it again\n")
+    os.exit(EXIT_UNDECIDED)
+  end
   stat:begin(text)
 end
 
@@ -375,7 +307,7 @@ local function read_preferences()
   local wrong = joined(clashes, unread, no_number, link_types)
   preferences.complain_once(wrong)
   local hidden = { source = prefs.hide_source, values = prefs.hide_values }
-  types:use(by_id, sources, hidden, register_id)
+  types:use(by_id, sources, hidden, function(id) ids:register_id(id) end)
   settings.accepts_all = prefs.all_extended
   if settings.accepts_all then watch_unclaimed() end
   settings.late, settings.ids = late, chosen
@@ -389,9 +321,6 @@ function yapp.init()
   read_preferences()
   buses:init()
   headers:reset()
-  -- A first pass without trees tells a remote frame from data by its header alone.  The page in a
-  -- browser pays for that; Wireshark's windows and sharkd, whose captures may be long, do not.
-  if yapp_reads_headers then headers:start() end
   types:reset(buses:are_several())
   if stat then stat:reset() end
   if streams then reset_reading() end
@@ -401,13 +330,13 @@ end
 
 -- Registration ------------------------------------------------------------------------------------
 
--- Register the Starts with Seq No 0 of all IDs: so begin unknown messages that are not numbered.
-for id = 0, frame.MAX_ID do by_can_id:add(id * 0x40000 + START * 0x4000, yapp) end
+ids = can_ids.new(yapp)
 for _, name in ipairs(stat_names) do register_stat_cmd_arg("yapp," .. name, begin_statistic) end
 register_stat_cmd_arg("yapp", begin_statistic) -- the longest name that fits is called
 if gui_enabled() then
   make_statistics()
   stat:register_menus()
+  local show_menu = require "yapp.show.menu"
   show_menu.register(yapp.prefs, catalogue)
 end
 for name, proto in pairs {

@@ -8,8 +8,7 @@ TOP = pathlib.Path(__file__).resolve().parent.parent
 
 # An arrow leads down this list, or stays in a folder.  Folders of one row know nothing of each other.
 ORDER = [["yapp.lua"], ["stat", "show"], ["host"], ["capture"], ["reading"], ["can", "serial"], ["file", "message"], ["wire"], ["base"]]
-# Modules that load at once, and those that load when they are first used (base/later).
-REQUIRE = re.compile(r'\b(?:require|later)\b\s*\(?\s*"([\w.]+)"')
+REQUIRE = re.compile(r'\brequire\b\s*\(?\s*"([\w.]+)"')
 
 
 def files(top=TOP):

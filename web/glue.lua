@@ -17,9 +17,6 @@ end
 
 local function ignore() end
 
--- The plugin reads the header of each CAN frame, so that remote frames are no data.
-yapp_reads_headers = true
-
 -- The page opens whole captures: no packet comes after the last.
 yapp_is_whole = true
 

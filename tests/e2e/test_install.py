@@ -152,7 +152,7 @@ def put_link(place):
 
 @pytest.mark.parametrize("put", [put_copy, put_clone, put_link])
 def test_a_clone_in_a_plugin_folder(home, put):
-    """Wireshark runs all of its modules, which complain.  The first line says what is wrong, and the last one."""
+    """Wireshark runs all of its modules, which complain; the plugin works."""
     place = home / PLUGINS / "clone"
     place.parent.mkdir(parents=True, exist_ok=True)
     put(place)
@@ -160,11 +160,7 @@ def test_a_clone_in_a_plugin_folder(home, put):
         path.chmod(0o755 if path.is_dir() else 0o644)
     done = tshark.run("-r", CAPTURE, plugin=False, env={"HOME": str(home)}, cwd="/", lua_errors=True)
     assert "Motor Data" in done.stdout
-    said = [line for line in done.stderr.splitlines() if not line.startswith("Running as user")]
-    for line in (said[0], said[-1]):
-        assert re.search(r"^yapp: \S*/ is a clone in a plugin folder, .* make install", line), said[:3]
-    assert said[0].split()[1].endswith(f"{PLUGINS}/clone/")
-    assert len([line for line in said if "is a clone" in line]) == 2
+    assert f"{PLUGINS}/clone/yapp/" in done.stderr
 
 
 @pytest.mark.parametrize("name", ["one;two", "one?two", "a ?.lua;b", "per%cent", "a+b-c.d"])
@@ -186,13 +182,11 @@ def test_unreadable_catalogue(home):
 
 
 @levels.each_once
-@pytest.mark.parametrize("module", ["can/interleaved", "stat/check", "serial/usb", "file/asc", "show/taurus"])
+@pytest.mark.parametrize("module", ["can/reassembly", "stat/check", "show/taurus"])
 @pytest.mark.parametrize("is_installed", [True, False])
 @pytest.mark.parametrize("is_missing", [True, False])
-@pytest.mark.parametrize("statistic", ["summary", "check", "csv,-,motor"])
-def test_a_module_that_does_not_load(home, module, is_installed, is_missing, statistic):
-    """Modules load when they are first used: a capture without YAPP needs none of these.  Every statistic says which one
-    does not load, needed or not, and ends with 21; a packet list says so if it needs it."""
+def test_a_module_that_does_not_load(home, module, is_installed, is_missing):
+    """A capture without YAPP needs none of these.  A statistic says which one does not load, and ends with 21."""
     clone = tshark.copy_plugin(home / "clone", tshark.ROOT)
     path = clone / f"yapp/{module}.lua"
     if is_missing:
@@ -209,14 +203,12 @@ def test_a_module_that_does_not_load(home, module, is_installed, is_missing, sta
 
     def run(*arguments):
         done = tshark.run(*script(folder), *arguments, plugin=False, env={"HOME": str(home)}, check=False, lua_errors=True)
-        return done.returncode, [line for line in done.stderr.splitlines() if not line.startswith("Running as user")]
+        lines = [line for line in done.stderr.splitlines() if not line.startswith("Running as user")]
+        return done.returncode, lines, done.stdout
 
-    code, lines = run("-q", "-r", CAPTURE, "-z", f"yapp,{statistic}")
+    code, lines, _ = run("-q", "-r", CAPTURE, "-z", "yapp,check")
     assert code == 21 and any(module in line and "cannot load" in line for line in lines), (code, lines)
-    code, lines = run("-r", others)
+    code, lines, _ = run("-r", others)
     assert (code, lines) == (0, [])
-    code, lines = run("-r", CAPTURE)
-    assert code == 0 and (len([line for line in lines if module in line]) == 1) == (module in USED), lines
-
-
-USED = ["can/interleaved", "serial/usb", "show/taurus"]  # by a packet list of YAPP
+    _, _, shown = run("-r", CAPTURE, "-Y", "_ws.lua.error")
+    assert bool(shown) == (module != "stat/check")  # a packet list needs the others

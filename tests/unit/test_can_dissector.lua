@@ -370,10 +370,10 @@ function T.test_frames_that_wait()
   frames:dissect(buffer(zeros, nil, 8), packet(5), nil, MOTOR, false)
   headers:on_packet(packet(6), buffer(record(EXTENDED + MOTOR, zeros)))
   lu.assertEquals({ seen.frame, headers.can, headers.waiting }, { nil, 2, false }, "of another packet")
-  lu.assertEquals(frames:dissect_without_id(buffer(DATA, nil, 8), packet(7)), 8)
+  lu.assertEquals(frames:dissect_any(buffer(DATA, nil, 8), packet(7)), 8)
   headers:on_packet(packet(7), buffer(record(EXTENDED + MOTOR, DATA)))
   lu.assertEquals({ seen.frame.data, seen.frame.accepts_all, seen.calls }, { DATA, true, {} })
-  lu.assertEquals(frames:dissect_without_id(buffer("", 8), packet(8)), 8)
+  lu.assertEquals(frames:dissect_any(buffer("", 8), packet(8)), 8)
   lu.assertEquals(seen.calls[1][1], "show_without_id")
   headers:open()
   lu.assertEquals({ headers.can, headers.extended }, { 0, 0 }, "of another statistic")
@@ -425,6 +425,21 @@ function T.test_frames_that_nobody_accepted()
   end
   lu.assertEquals({ fills(16, 8, 8), fills(72, 8, 64), fills(28, 8, 20), fills(28, 8, 12), fills(7, 8, 3),
     fills(17, 8, 5) }, { true, true, true, false, false, false }, "whether it is a record of SocketCAN")
+end
+
+-- By Decode As every extended data frame is YAPP's, once its id is known.
+function T.test_decode_as()
+  local frames = new_frames()
+  said.result, said.message = { is_usual = true }, {}
+  local function dissect(info, reported)
+    local pinfo = packet(3, { cols = { info = info } })
+    return frames:dissect_any(buffer(DATA, reported, 8), pinfo, "tree")
+  end
+  lu.assertEquals(dissect("Ext. ID: 138428416 (0x8404000), Length: 8"), 8)
+  lu.assertEquals({ seen.frame.accepts_all, seen.frame.can_id.id, #seen.calls }, { true, 0x210, 0 })
+  lu.assertIs(seen.tables.wtap_encap[125], seen.proto, "headers are read from now on")
+  lu.assertEquals({ dissect("ID: 291 (0x123), Length: 8"), #seen.calls }, { 0, 0 })
+  lu.assertEquals({ dissect("anything"), seen.calls[1][1], dissect("anything", 0) }, { 8, "show_without_id", 0 })
 end
 
 function T.test_the_dissector_of_the_table()

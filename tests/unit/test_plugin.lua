@@ -8,9 +8,8 @@ local field_kinds = require("yapp.message.field_kinds")
 local T = {}
 local searchers = rawget(package, "searchers")
 
-local START = 0x4000 -- CAN CTRL of a Start, in a CAN id
 local GLOBALS = { "Proto", "DissectorTable", "Dissector", "Dir", "gui_enabled", "register_stat_cmd_arg",
-  "set_plugin_info", "yapp_reads_headers" }
+  "set_plugin_info", "Listener" }
 local TITLES = {} -- of the statistics, typed once more
 for _, name in ipairs { "faults", "events", "summary", "compare", "csv", "check" } do TITLES["yapp," .. name] = true end
 
@@ -86,6 +85,7 @@ end
 local function set_globals(is_gui)
   _G.Proto = new_proto
   _G.DissectorTable = { get = new_table }
+  _G.Listener = { new = function() return {} end }
   _G.Dissector = { get = function(name) return stand_in("dissector " .. name) end }
   _G.Dir = { personal_config_path = function(name) return (said.config or "/nowhere/") .. name end }
   function _G.gui_enabled() return is_gui end
@@ -99,6 +99,7 @@ local function set_modules()
   local stands = {
     ["yapp.capture.capture"] = { watch = function() return stand_in("buses", { found = found }) end },
     ["yapp.host.preferences"] = module("preferences"),
+    ["yapp.host.can_ids"] = { new = function() return stand_in("ids") end },
     ["yapp.host.header"] = { new = function() return stand_in("headers") end },
     ["yapp.host.can"] = maker("can", stand_in("frames")),
     ["yapp.host.stream"] = maker("stream", stand_in("streams")),
@@ -131,7 +132,7 @@ function T.setUp()
   }
   for name in pairs(package.loaded) do if name:find("^yapp%.") then real.loaded[name] = package.loaded[name] end end
   for i, searcher in ipairs(searchers) do real.searchers[i] = searcher end
-  package.loaded["yapp.plugin"], package.loaded["yapp.base.later"] = nil, nil
+  package.loaded["yapp.plugin"] = nil
   function os.exit(code) error({ code = code }, 0) end -- luacheck: ignore
   function os.getenv(name) return said[name] end -- luacheck: ignore
   io.stderr = { write = function(_, ...) table.insert(seen.stderr, table.concat({ ... })) end } -- luacheck: ignore
@@ -179,92 +180,6 @@ function T.test_what_is_registered()
   lu.assertEquals(package.loaded["yapp.plugin"], { version = seen.info.version, path = "./yapp.lua" })
 end
 
--- The Starts of all IDs: CAN CTRL 1, YAPP CTL 0, Seq No 0.
-function T.test_starts_of_every_id()
-  load()
-  local added, count = seen.tables["can.extended_id"].added, 0
-  for id = 0, 0x7FF do lu.assertEquals(added[tostring(id * 0x40000 + START)], "yapp", id) end
-  for _ in pairs(added) do count = count + 1 end
-  lu.assertEquals(count, 0x800)
-end
-
-local function ranges_of(id)
-  local ranges = {}
-  for ctrl = 0, 3 do
-    local first = id * 0x40000 + ctrl * 0x4000
-    ranges[ctrl + 1] = seen.tables["can.extended_id"].added[("%d-%d"):format(first, first + 0xFF)] or "none"
-  end
-  return ranges
-end
-
-local ALL, NONE = { "yapp", "yapp", "yapp", "yapp" }, { "none", "none", "none", "none" }
-
-function T.test_can_ids_of_messages()
-  local protos = load()
-  protos.yapp.prefs.motor_ids = "529"
-  protos.yapp.prefs_changed()
-  lu.assertEquals({ ranges_of(0), ranges_of(0x200), ranges_of(0x211) }, { ALL, ALL, ALL })
-  lu.assertEquals({ ranges_of(0x201), ranges_of(0x7FF) }, { NONE, NONE })
-  local count = 0
-  for key in pairs(seen.tables["can.extended_id"].added) do if key:find("-", 1, true) then count = count + 1 end end
-  lu.assertEquals(count, 3 * 4)
-  protos.yapp.prefs_changed()
-end
-
--- Return the CAN ids that are registered, as { [CAN id] = true }.
-local function registered_ids()
-  local ids = {}
-  for text in pairs(seen.tables["can.extended_id"].added) do
-    local first, last = text:match("^(%d+)-?(%d*)$")
-    for id = tonumber(first), tonumber(last) or tonumber(first) do ids[id] = true end
-  end
-  return ids
-end
-
-local function can_id(id, ctrl, seq) return id * 0x40000 + ctrl * 0x4000 + seq end
-
--- Of an unknown ID all Starts once one came, and the Middles and Ends of the Seq Nos that came.
-function T.test_can_ids_of_an_unknown_id()
-  open(true)
-  local register_start = seen.made.reading[3]
-  register_start(0x300, 7)
-  register_start(0x300, 9)
-  register_start(0x300, 7)
-  register_start(0x210, 7)
-  local ids = registered_ids()
-  for seq = 0, 255 do
-    lu.assertNil(ids[can_id(0x300, 0, seq)], seq)
-    lu.assertTrue(ids[can_id(0x300, 1, seq)], seq)
-    for ctrl = 2, 3 do
-      lu.assertEquals(ids[can_id(0x300, ctrl, seq)], (seq == 7 or seq == 9) or nil, seq)
-    end
-  end
-  lu.assertEquals(ranges_of(0x210), ALL)
-  lu.assertNil(seen.tables["can.extended_id"].added[tostring(0x210 * 0x40000 + 7)], "these are registered")
-end
-
--- Of the 65th and later ones the next Starts alone.
-function T.test_can_ids_of_many_unknown_ids()
-  open(true)
-  local register_start = seen.made.reading[3]
-  local function last_start(id)
-    local ids, last = registered_ids(), 0
-    while ids[can_id(id, 1, last + 1)] do last = last + 1 end
-    for seq = last + 2, 255 do lu.assertNil(ids[can_id(id, 1, seq)], seq) end
-    return last
-  end
-  for id = 0x300, 0x33F do register_start(id, 0) end
-  lu.assertEquals({ last_start(0x300), last_start(0x33F) }, { 255, 255 })
-  for _, seq in ipairs { 0, 1, 2, 15, 16, 17, 30, 100, 222, 223, 224, 254, 255 } do
-    register_start(0x340, seq)
-    lu.assertTrue(last_start(0x340) >= math.min(seq + 16, 255), seq)
-    lu.assertTrue(last_start(0x340) <= seq + 32, seq)
-  end
-  register_start(0x341, 0)
-  register_start(0x341, 240)
-  lu.assertEquals(last_start(0x341), 255)
-end
-
 function T.test_a_second_copy()
   load()
   local first = package.loaded["yapp.plugin"]
@@ -274,20 +189,6 @@ function T.test_a_second_copy()
   first.version = "0.1"
   dofile("yapp.lua")
   lu.assertStrContains(seen.stderr[2], "(0.1) is already there; remove or update one of the two\n")
-end
-
--- Wireshark runs alone.lua first if the clone is in its plugin folder.
-function T.test_a_clone_in_the_plugin_folder()
-  local file = assert(io.open("yapp/base/alone.lua"))
-  assert(_G.load(file:read("*a"), "@/clone/yapp/base/alone.lua"))()
-  file:close()
-  lu.assertStrContains(table.concat(seen.stderr), "/clone/ is a clone in a plugin folder")
-  load()
-  lu.assertEquals(seen.stderr, { seen.stderr[1], seen.stderr[1] })
-  seen.stderr, seen.tables, package.loaded["yapp.plugin"] = {}, {}, nil
-  package.loaded["yapp.base.alone"] = nil
-  load()
-  lu.assertEquals(seen.stderr, {}, "elsewhere, or an installation")
 end
 
 function T.test_modules_are_found_beside_the_plugin()
@@ -377,13 +278,6 @@ function T.test_another_file()
   lu.assertFalse(types.has_several)
 end
 
--- The page in a browser.
-function T.test_headers_that_are_read_at_once()
-  _G.yapp_reads_headers = true
-  open()
-  lu.assertEquals(calls_of("headers.start"), { "headers.start" })
-end
-
 -- Preferences --------------------------------------------------------------------------------------------------------
 
 function T.test_what_is_read_of_preferences()
@@ -405,12 +299,12 @@ function T.test_all_extended_frames()
   lu.assertEquals(calls_of("headers.start"), { "headers.start" })
   protos.yapp.init()
   lu.assertEquals(#protos.yapp_all.heuristics, 1)
-  said["headers.find_id"], said["frames.dissect"] = 0x8404000, 1
-  local tvb, pinfo = stand_in("tvb"), {}
-  lu.assertTrue(protos.yapp_all.heuristics[1][2](tvb, pinfo, "root"))
-  lu.assertEquals(seen.arguments["frames.dissect"], { tvb, pinfo, "root", 0x8404000, true })
-  said["frames.dissect"] = 0
-  lu.assertFalse(protos.yapp_all.heuristics[1][2](tvb, pinfo, "root"))
+  said["frames.dissect_any"] = 1
+  lu.assertTrue(protos.yapp_all.heuristics[1][2]("tvb", "pinfo", "root"))
+  lu.assertEquals(seen.arguments["frames.dissect_any"], { "tvb", "pinfo", "root" })
+  lu.assertEquals(protos.yapp_all.dissector("tvb", "pinfo", "root"), 1)
+  said["frames.dissect_any"] = 0
+  lu.assertFalse(protos.yapp_all.heuristics[1][2]("tvb", "pinfo", "root"))
 end
 
 function T.test_wishes_that_were_not_met()
@@ -513,21 +407,6 @@ function T.test_the_dissector_of_the_table()
   lu.assertEquals(protos.yapp.dissector("again", "pinfo", "root"), 8)
   lu.assertEquals(#calls_of("frames.new_table_dissector"), 1)
   lu.assertEquals(protos.taurus.dissector(), 0)
-end
-
-function T.test_decode_as_on_can()
-  local protos, pinfo = open(), {}
-  local tvb, is_unknown = nil, true
-  local function dissect(id, length)
-    said["headers.find_id"] = function() return id, is_unknown end
-    said["tvb.reported_len"], tvb = length, stand_in("tvb")
-    return protos.yapp_all.dissector(tvb, pinfo, "root")
-  end
-  said["frames.dissect"], said["frames.dissect_without_id"] = 8, 5
-  lu.assertEquals({ dissect(7, 8), dissect(nil, 1), dissect(nil, 0) }, { 8, 5, 0 })
-  is_unknown = false
-  lu.assertEquals(dissect(nil, 8), 0)
-  lu.assertEquals(#calls_of("headers.start"), 4)
 end
 
 function T.test_a_conversation_is_found_by_content()

@@ -9,7 +9,7 @@ local T = {}
 
 local GLOBALS = { "FileHandler", "register_filehandler", "get_version", "gui_enabled", "NSTime", "Dir", "Listener",
   "wtap_encaps", "wtap_rec_types", "wtap_presence_flags", "wtap_tsprecs" }
-local MODULES = { "yapp.file.readers", "yapp.file.asc", "yapp.file.candump", "yapp.file.dump", "yapp.base.later" }
+local MODULES = { "yapp.file.readers", "yapp.file.asc", "yapp.file.candump", "yapp.file.dump" }
 local real = { open = io.open, stderr = io.stderr, loaded = {} }
 
 local seen, said

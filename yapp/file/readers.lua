@@ -2,10 +2,9 @@
 -- Wireshark's file readers of candump text, Vector's ASC and raw serial dumps, and the facts of the
 -- files.  The modules of the formats do the work.
 
-local later = require "yapp.base.later"
-local asc = later "yapp.file.asc"
-local candump = later "yapp.file.candump"
-local dump = later "yapp.file.dump"
+local asc = require "yapp.file.asc"
+local candump = require "yapp.file.candump"
+local dump = require "yapp.file.dump"
 
 local M = {}
 

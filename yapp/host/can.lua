@@ -148,13 +148,25 @@ function Dissector:new_table_dissector(calls)
   end
 end
 
---- Dissect a frame that the user calls YAPP, but whose CAN id is not known.
--- returns  the number of bytes that are ours
-function Dissector:dissect_without_id(tvb, pinfo, tree)
-  if not (tvb:len() > 0 and self.headers:remember(tvb, pinfo, true, nil, true)) then
+--- Dissect a frame that did not come through the table of ids: the user says that it is YAPP.
+-- returns  the number of bytes that are ours, 0 for no extended data frame
+function Dissector:dissect_any(tvb, pinfo, tree)
+  local headers = self.headers
+  local id, is_unknown = headers:find_id(pinfo)
+  -- From the next frame on the id is known.  Of frames that Wireshark shows once more, its columns
+  -- and trees have it.
+  if is_unknown or not pinfo.visited then headers:start() end
+  local reported = reported_of(tvb)
+  if id then
+    local length = self:dissect(tvb, pinfo, tree, id, true)
+    if length > 0 then headers:forget() end
+    return length
+  end
+  if not is_unknown or reported == 0 then return 0 end
+  if not (length_of(tvb) > 0 and headers:remember(tvb, pinfo, true, nil, true)) then
     self.view:show_without_id(pinfo, tree)
   end
-  return tvb:reported_len()
+  return reported
 end
 
 return M

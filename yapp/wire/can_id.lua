@@ -2,8 +2,7 @@
 -- YAPP's use of a CAN frame: the 29-bit id, CAN FD padding, the header that the CRC covers ("CAN
 -- Framing"). Pure Lua, 5.2 and 5.4.
 
-local later = require "yapp.base.later"
-local crc = later "yapp.wire.crc" -- its tables take half a millisecond
+local crc = require "yapp.wire.crc" -- its tables take half a millisecond
 
 local M = {}
 
