@@ -59,7 +59,7 @@ def planted(folder, monkeypatch):
 
 LOADED = ("yapp.lua", "local VERSION")
 DISSECTOR = ("yapp/serial/framer.lua", "function Framer:add(")
-READER = ("yapp/reading/messages.lua", "function Messages:read(")
+READER = ("yapp/reading/reading.lua", "function Reading:read_message(")
 INIT = ("yapp.lua", "function yapp.init")
 SERIAL = ("yapp.lua", "serial.dissector = counted(function")
 # A protocol of its own, in the packets of which Wireshark finds a fault that is not said to be ours.

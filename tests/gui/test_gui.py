@@ -167,7 +167,7 @@ def test_an_error_at_reload_is_seen(captures):
 
 def test_an_error_in_a_dissector_is_seen(captures):
     plugin, probe = gui.tshark.copy_plugin(captures), Probe(captures)
-    plant(plugin / "yapp/reading/messages.lua", "function Messages:read(frame, transfer)", 'error("planted")')
+    plant(plugin / "yapp/reading/reading.lua", "function Reading:read_message(frame, transfer)", 'error("planted")')
     with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcapng", plugin=plugin) as wireshark:
         wireshark.wait_for_window("first.pcapng")
         probe.wait_for(0, errors=402)

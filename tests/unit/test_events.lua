@@ -30,7 +30,7 @@ local function new_events()
   return events, list
 end
 
--- A message, as reading.messages reads it; with.frame: the number of its packet; with.of: its message type.
+-- A message, as reading.reading reads it; with.frame: the number of its packet; with.of: its message type.
 local function message(with)
   local m = { seq = 0, source = SOURCE, time = 0.5, visited = false, status = "good", payload = "\0\0\0",
     change = false, undecoded = false, is_unreliable = false }

@@ -4,7 +4,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local frame_key = require("yapp.base.frame_key")
-local messages_of = require("yapp.reading.messages")
+local reading_of = require("yapp.reading.reading")
 local sources = require("yapp.message.sources")
 local types_of = require("yapp.message.types")
 
@@ -31,15 +31,17 @@ local function history_of(answer, asked)
   return history
 end
 
--- What finds each message to be a copy of this one, or of none.
-local function copies_of(key)
-  return { find = function() return key end }
+-- A reading with this history, to which each message is a copy of this one, or of none.
+local function reading_with(types, history, key)
+  local reading = reading_of.new(types, {}, nil)
+  reading.history, reading.copies = history, { find = function() return key end }
+  return reading
 end
 
 -- Read a message of a payload of zeros with some bytes changed.
 -- bytes   { [offset] = value }
 -- with    of the transfer: status, size; of the frame: id, line, key, visited, is_bus_known, wants_state; answer = of
---         the history; messages = a reading.messages
+--         the history
 -- returns the message, what the history was asked, and whether the message is usual
 local function read(of_type, bytes, with)
   with = with or {}
@@ -47,13 +49,12 @@ local function read(of_type, bytes, with)
   for offset, byte in pairs(bytes or {}) do
     payload = payload:sub(1, offset) .. string.char(byte) .. payload:sub(offset + 2)
   end
-  local messages = with.messages or messages_of.new(types, history_of(with.answer or { delta = 1 }, asked),
-    copies_of(with.copy_of))
+  local reading = reading_with(types, history_of(with.answer or { delta = 1 }, asked), with.copy_of)
   local frame = { source = types:new_source(with.id or of_type.id, false, nil, with.line), seq = 0,
     key = with.key or 7 * frame_key.PACKET, time = 1, visited = with.visited or false,
     is_bus_known = with.is_bus_known ~= false, is_only_pass = false, wants_state = with.wants_state or false }
   local transfer = { status = with.status or "good", size = with.size or of_type.size, payload = payload }
-  local message, is_usual = messages:read(frame, transfer)
+  local message, is_usual = reading:read_message(frame, transfer)
   return message, table.concat(asked, " "), is_usual
 end
 
@@ -96,8 +97,8 @@ function T.test_a_shorter_payload()
   end
   local types = new_types(catalogue.compile(entries))
   for size = 29, 33 do
-    local messages = messages_of.new(types, history_of({ delta = 1 }, {}), copies_of())
-    local m = messages:read(
+    local reading = reading_with(types, history_of({ delta = 1 }, {}))
+    local m = reading:read_message(
       { source = types:new_source(0x210, false), key = 1, visited = false, is_bus_known = true },
       { size = size, payload = ("\1"):rep(size), status = size == 31 and "bad" or "good" })
     found[#found + 1] = ("%d %s %s"):format(size, m.raws and "read" or "bytes", m.undecoded or "-")

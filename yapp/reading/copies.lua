@@ -60,7 +60,7 @@ local function find_in(self, list, time, text)
 end
 
 --- Find the original of a message, in the order of the capture.
--- message       of reading.messages
+-- message       see Reading:read_message
 -- visited       true on a revisit: then return the same as before
 -- is_only_pass  true if it is never asked for again
 -- returns       frame key of the message that it is a copy of; nil if it is none

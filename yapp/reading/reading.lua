@@ -3,28 +3,28 @@
 -- returns its result.  Pure Lua.
 --
 --   frame ──► can.reassembly ─┐
---                             ├─► transfer ─► reading.messages ─► result ─► listener
---   packet ─► serial.stream ──┘              (values, history)
+--                             ├─► transfer ─► message ─► result ─► listener
+--   packet ─► serial.stream ──┘        (values, copy or not, history)
 --
 -- On a revisit, recall and recall_packet return the same result.
 
 local can_id = require "yapp.wire.can_id"
 local copies = require "yapp.reading.copies"
 local decode = require "yapp.message.decode"
-local frame = require "yapp.wire.frame"
 local framer = require "yapp.serial.framer"
 local number_of = require "yapp.base.frame_key".number
 local history = require "yapp.message.history"
 local lines = require "yapp.serial.lines"
 local memo = require "yapp.base.memo"
-local messages = require "yapp.reading.messages"
 local reassembly = require "yapp.can.reassembly"
 local records = require "yapp.reading.records"
 local streams = require "yapp.serial.stream"
 
 local M = {}
 
+local HEADER = require("yapp.wire.frame").HEADER
 local BUS, START = can_id.BUS, can_id.START
+local NONE = {} -- to be read only
 local LOST = { { expert = "fragment.incomplete", text = "" } } -- of a message without an End
 
 local Reading = {}
@@ -52,7 +52,7 @@ end
 --- Forget the capture file.
 -- options  of message.history
 function Reading:reset(options)
-  self.messages = messages.new(self.types, history.new(options), copies.new(self.buses))
+  self.history, self.copies = history.new(options), copies.new(self.buses)
   -- CAN:
   local function can_judge(time) return self.buses:is_time_real(time) end
   self.reassembly = reassembly.new(can_judge, self.on_unknown)
@@ -75,47 +75,124 @@ local function report(self, result)
   return result
 end
 
+-- Messages ----------------------------------------------------------------------------------------
+
+-- Make the record of the message of a transfer.
+-- frame  that ends it
+local function new_message(frame, transfer)
+  return { -- Lua makes room for 16 fields or for 32: more than 16 cost 2 % of a packet list
+    transfer = transfer,
+    source = frame.source, -- see message.types
+    seq = frame.seq,
+    key = frame.key,
+    time = frame.time, -- seconds since the first packet
+    status = transfer.status,
+    payload = transfer.payload, -- the bytes of it that came
+    raws = false, -- the values by index of field (message.decode); false if the size does not fit
+    remarks = NONE, -- the remarkable values (message.decode)
+    undecoded = false, -- number of payload bytes behind the type's size, false for none
+    has_fault = false, -- true if a fault flag is set; a damaged message has none
+    copy_of = false, -- frame key of the message that it is a copy of, or false
+    -- Of message.history:
+    change = false, -- the change, or false
+    delta = false, -- seconds since the source's previous good message, or false
+    state = false, -- the state at the message, or false if it is not known or not wanted
+    -- True if its past is not known: nothing tells its bus, or controllers share its source.
+    is_unreliable = not (frame.visited or frame.is_bus_known),
+  }
+end
+
+-- Decode the values.  The payload has min_size bytes of its type at least.  Only a good message may
+-- have more than the type's size.
+local function decode_values(message, message_type)
+  local size, is_good = message.transfer.size, message.status == "good"
+  local is_longer = size > message_type.size
+  if size < message_type.min_size or is_longer and not is_good then return end
+  local raws, remarks = message_type.read(message.payload)
+  message.raws = raws
+  if remarks then
+    message.remarks = remarks
+    message.has_fault = message.status ~= "bad" and remarks.has_fault or false
+  end
+  if is_longer then message.undecoded = size - message_type.size end
+end
+
+-- Set the history's values of a message.
+local function add_history(self, message, frame)
+  local change, delta
+  if frame.visited then
+    change, delta = self.history:change(message)
+  else
+    change, delta = self.history:add(message, frame.is_only_pass)
+  end
+  message.change, message.delta = change or false, delta or false
+  if delta == nil or change and change.unreliable then message.is_unreliable = true end
+  message.state = frame.wants_state and self.history:state(message) or false
+  -- In a stream, the ID of a damaged frame may be damaged, too.
+  if message.source.line and message.status ~= "good" then message.delta = false end
+end
+
+local function is_plain(message)
+  if message.status ~= "good" or not message.raws then return false end
+  return not (message.remarks[1] or message.undecoded or message.copy_of or message.change)
+end
+
+--- Read the message of a transfer.
+-- frame  that ends it, see reading.records
+-- transfer  { status, size, payload }, see records.STATUSES
+-- returns   the message, and whether it is good and decoded and has nothing else to show
+function Reading:read_message(frame, transfer)
+  local message_type, message = frame.source.type, new_message(frame, transfer)
+  local status = records.STATUSES[message.status]
+  if message_type and status.is_placed then decode_values(message, message_type) end
+  if status.is_proved then
+    message.copy_of = self.copies:find(message, frame.visited, frame.is_only_pass) or false
+  end
+  if not (message.is_unreliable or message.copy_of) then add_history(self, message, frame) end
+  return message, is_plain(message)
+end
+
 -- CAN ---------------------------------------------------------------------------------------------
 
 -- Return the result of a frame, and report it.
 -- kind ...  of can.reassembly
-local function new_frame_result(self, can_frame, kind, transfer, anomalies, index)
+local function new_frame_result(self, frame, kind, transfer, anomalies, index)
   if not kind then return nil end
   local result, message, is_usual = self.result, false, true
-  can_frame.seq = can_frame.can_id.seq
+  frame.seq = frame.can_id.seq
   if kind == "last" or kind == "single" then
-    message, is_usual = self.messages:read(can_frame, transfer)
+    message, is_usual = self:read_message(frame, transfer)
     if message.has_fault then reassembly.mark_fault(transfer) end
   end
   result.kind = kind
-  result.frame = can_frame
+  result.frame = frame
   result.transfer = transfer or false
   result.message = message
   result.anomalies = anomalies or false
   result.index = index or false
-  result.is_usual = is_usual and not anomalies and #can_frame.data == can_frame.reported
+  result.is_usual = is_usual and not anomalies and #frame.data == frame.reported
   if kind == "fragment" and not anomalies then return result end -- no statistic counts it
   return report(self, result)
 end
 
 --- Read the next frame of the capture.
--- can_frame  see reading.records
+-- frame  see reading.records
 -- returns    its result, which is used again for the next frame; nil for a frame that is not YAPP's
-function Reading:read(can_frame)
-  local fields, bus = can_frame.can_id, can_frame.bus
+function Reading:read(frame)
+  local fields, bus = frame.can_id, frame.bus
   local slot = fields.message_key
   if bus then slot = slot + bus * BUS end
-  can_frame.source, can_frame.slot = self.sources[bus][fields.id], slot
-  return new_frame_result(self, can_frame, self.reassembly:add(can_frame))
+  frame.source, frame.slot = self.sources[bus][fields.id], slot
+  return new_frame_result(self, frame, self.reassembly:add(frame))
 end
 
 --- Recall a frame that was read before.
 -- returns  as Reading:read
-function Reading:recall(can_frame)
-  can_frame.source = self.sources[can_frame.bus][can_frame.can_id.id]
-  local kind, transfer, anomalies, index = self.reassembly:recall(can_frame)
-  if transfer then can_frame.source = transfer.source end
-  return new_frame_result(self, can_frame, kind, transfer, anomalies, index)
+function Reading:recall(frame)
+  frame.source = self.sources[frame.bus][frame.can_id.id]
+  local kind, transfer, anomalies, index = self.reassembly:recall(frame)
+  if transfer then frame.source = transfer.source end
+  return new_frame_result(self, frame, kind, transfer, anomalies, index)
 end
 
 -- Return the payload size that a Start says; nil if it may be none.
@@ -139,16 +216,16 @@ end
 --   of an unknown ID
 --   of a known ID, with a YAPP CTL other than 0
 --   of a known ID, with bytes behind its values
--- can_frame  see reading.records
-function Reading:report_undissected(can_frame)
-  local fields = can_frame.can_id
-  local source, data, size = self.sources[can_frame.bus][fields.id], can_frame.data, nil
+-- frame  see reading.records
+function Reading:report_undissected(frame)
+  local fields = frame.can_id
+  local source, data, size = self.sources[frame.bus][fields.id], frame.data, nil
   if fields.ctl ~= 0 and not source.type then return end
   if fields.ctrl == START then size = start_size(data) end
   if fields.ctrl == 0 then size = single_size(self, source.type, data) end
   if not size then return end
-  can_frame.source = source
-  local result = records.new_result("undissected", can_frame)
+  frame.source = source
+  local result = records.new_result("undissected", frame)
   result.length = size
   report(self, result)
 end
@@ -172,10 +249,10 @@ local function finding_result(self, packet, finding, index)
     result.transfer, result.length = transfer, transfer.length
     return result
   end
-  local of_frame = records.new_serial_frame(packet, index, source, seq)
-  local result = records.new_result("single", of_frame)
+  local frame = records.new_serial_frame(packet, index, source, seq)
+  local result = records.new_result("single", frame)
   result.transfer, result.anomalies = transfer, anomalies
-  local message, is_usual = self.messages:read(of_frame, transfer)
+  local message, is_usual = self:read_message(frame, transfer)
   result.message, result.is_usual = message, is_usual and not anomalies
   return result
 end
@@ -226,12 +303,12 @@ end
 -- The CAN messages that the capture ends before.
 local function finish_frames(self, list)
   for _, open in ipairs(self.reassembly:unfinished()) do
-    local transfer, of_frame = open.message, records.new_can_frame()
+    local transfer, frame = open.message, records.new_can_frame()
     local key = transfer[#transfer]
-    of_frame.key, of_frame.number, of_frame.time = key, number_of(key), transfer.time
-    of_frame.source, of_frame.seq = transfer.source, transfer.slot % 0x100
-    of_frame.can_id = can_id.fields[transfer.slot % BUS]
-    local result = records.new_result(open.is_lost and "other" or "unfinished", of_frame)
+    frame.key, frame.number, frame.time = key, number_of(key), transfer.time
+    frame.source, frame.seq = transfer.source, transfer.slot % 0x100
+    frame.can_id = can_id.fields[transfer.slot % BUS]
+    local result = records.new_result(open.is_lost and "other" or "unfinished", frame)
     if open.is_lost then result.anomalies = LOST end
     list[#list + 1] = result
   end
@@ -241,14 +318,14 @@ end
 -- be a part of a frame.
 local function waiting_result(self, packet, finding, index, may_go_on)
   local is_skipped = finding.status == "skipped"
-  if is_skipped and finding.to - finding.from < frame.HEADER then return nil end
+  if is_skipped and finding.to - finding.from < HEADER then return nil end
   if is_skipped or not (finding.missing or may_go_on) then
     -- The key of no other message: packets have fewer findings than bytes.
     return finding_result(self, packet, finding, is_skipped and 1 or packet.length + index)
   end
-  local id, _, _, seq = frame.parse(finding.bytes, finding.offset + 1)
-  local of_frame = records.new_serial_frame(packet, 1, self.lines:source(packet.line, id), seq)
-  return records.new_result("unfinished", of_frame)
+  local _, id, seq = streams.new_transfer(finding, packet.bytes)
+  local frame = records.new_serial_frame(packet, 1, self.lines:source(packet.line, id), seq)
+  return records.new_result("unfinished", frame)
 end
 
 --- Return the results that wait when all packets have come: messages that the capture ends

@@ -5,6 +5,18 @@
 
 local M = {}
 
+--- The statuses of a transfer that has ended:
+--   kind       of its event; a lost one has none: its anomalies have
+--   is_placed  true if its bytes stand at known offsets
+--   is_proved  true if all bytes came
+M.STATUSES = {
+  good = { kind = "message", is_placed = true, is_proved = true },
+  bad = { kind = "crc", is_placed = true, is_proved = true }, -- its CRC
+  truncated = { kind = "incomplete", is_placed = true }, -- by the capture: it was not checked
+  incomplete = {},
+  overrun = {},
+}
+
 --- Make the record of a CAN frame.  It is used again for the next frame, which saves a tenth of a
 -- packet list: keep no reference to it.
 function M.new_can_frame()

@@ -16,6 +16,7 @@ local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
 local number_of = require("yapp.base.frame_key").number
 local output = require "yapp.stat.output"
+local records = require "yapp.reading.records"
 
 local M = {}
 
@@ -29,9 +30,6 @@ local LOSSES = {
   ["fragment.orphan"] = "orphan",
   ["fragment.overrun"] = "overrun",
 }
--- The kind of a message by its status.  A truncated message could not be checked.  A message of
--- another status makes no event: its anomalies do.
-local KIND_OF = { good = "message", bad = "crc", truncated = "incomplete" }
 
 -- From a result to events ------------------------------------------------------------------------
 
@@ -75,7 +73,7 @@ local function append(list, kind, frame, values, message)
 end
 
 local function append_message(list, frame, message)
-  local kind = KIND_OF[message.status]
+  local kind = records.STATUSES[message.status].kind
   if message.copy_of then
     append(list, "copies", frame, { of = message.copy_of }, message)
   elseif kind == "message" then
