@@ -313,7 +313,9 @@ def _value(
     now = base * math.exp(result.value) if is_multiple else base + result.value
     key = "°C" if unit in DEGREES else unit
     at = _typical(found, one, other, good, values)
-    usual = [_usual(run, own, name, is_multiple) for run, own in ((found.before, one), (found.after, other))]
+    usual = [
+        _usual(found.before, run, own, name, is_multiple) for run, own in ((found.before, one), (found.after, other))
+    ]
     beside = None
     if unit != "%" and len(usual[0]) and len(usual[1]):
         shown = shown - np.concatenate(usual)
@@ -321,21 +323,21 @@ def _value(
     yield _Measured(one.controller, name, title, unit, key, is_multiple, result, (base, now), at, beside=beside)
 
 
-def _usual(run: Run, own: Samples, name: str, is_multiple: bool) -> Array:
-    """Return the median of the other controllers at the times of one; empty where there are fewer than two.
+def _usual(before: Run, run: Run, own: Samples, name: str, is_multiple: bool) -> Array:
+    """Return how far the others are from their levels BEFORE, their median, at the times of one controller.
 
-    Wind and weather are the same for all: what one has beyond the others shows sooner.
+    Empty where there are fewer than two others. Wind and weather are the same for all: what one has beyond the others
+    shows sooner. Each has its own level, as the median of levels would jump where two swap places.
     """
     lines = []
     for (who, message), one in run.samples.items():
         if message == own.message and who != own.controller and name in one.columns:
             good = np.isfinite(one.columns[name])
-            if good.sum() > 50:
-                lines.append(np.interp(own.times, one.times[good], one.columns[name][good]))
-    if len(lines) < 2:
-        return np.zeros(0)
-    middle = np.median(lines, axis=0)
-    return np.asarray(np.log(np.maximum(middle, 1e-9)) if is_multiple else middle)
+            level = float(np.nanmedian(before.samples[who, message].columns[name]))
+            if good.sum() > 50 and (level > 0 or not is_multiple):
+                values = np.interp(own.times, one.times[good], one.columns[name][good])
+                lines.append(np.log(np.maximum(values, 1e-9) / level) if is_multiple else values - level)
+    return np.asarray(np.median(lines, axis=0)) if len(lines) > 1 else np.zeros(0)
 
 
 def _typical(found: Comparison, one: Samples, other: Samples, good: Array, values: Array) -> tuple[Record, Record]:

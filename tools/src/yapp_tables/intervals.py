@@ -96,12 +96,12 @@ def shift(times: Array, sums: Callable[[float], Array], lengths: Array) -> tuple
     if count < LEAST_BLOCKS:
         return None
     whole = curves.sum(axis=0)
-    best = _lowest(lengths, whole)
-    without = np.array([_lowest(lengths, whole - curve) for curve in curves])
+    best = lowest(lengths, whole)
+    without = np.array([lowest(lengths, whole - curve) for curve in curves])
     return best, float(np.sqrt((count - 1) / count * ((without - without.mean()) ** 2).sum())), count
 
 
-def _lowest(lengths: Array, curve: Array) -> float:
+def lowest(lengths: Array, curve: Array) -> float:
     """Return where a curve is lowest: the vertex of the parabola through the lowest point and its neighbours."""
     at = int(np.clip(np.argmin(curve), 1, len(curve) - 2))
     left, middle, right = curve[at - 1 : at + 2]

@@ -130,7 +130,8 @@ class Load:
         if pair is None:
             return None
         speed = np.abs(lead.columns[pair[0]])
-        volts = lead.columns[supply[0]] if supply else np.zeros(len(speed))
+        # What a current takes from its supply at once is no cause of it: the slow part of the supply is.
+        volts = _slow(lead.times, lead.columns[supply[0]]) if supply else np.zeros(len(speed))
         heat = _memory(lead.times, np.nan_to_num(speed) ** 2)
         return cls(lead.times, speed, volts, heat)
 
@@ -141,6 +142,17 @@ class Load:
         return Load(
             times, np.where(gone, np.nan, self.speed[at]), np.where(gone, np.nan, self.volts[at]), self.heat[at]
         )
+
+
+def _slow(times: Array, values: Array, length: float = 20.0) -> Array:
+    """Return the mean of the latest seconds, which begins anew with each flight."""
+    found, state = np.empty(len(values)), np.nan
+    kept = np.exp(-np.diff(times, prepend=times[:1] - APART) / length)
+    for at, value in enumerate(values):
+        if not np.isnan(value):
+            state = value if np.isnan(state) else value + (state - value) * kept[at]
+        found[at] = state
+    return found
 
 
 def _memory(times: Array, power: Array) -> Array:

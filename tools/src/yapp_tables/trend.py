@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import html
 import json
-import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from tqdm import tqdm
 from . import plain_page
 from .errors import SetupError, count_of
 from .follow import SHAPES, Following
-from .intervals import slope
+from .intervals import lowest, slope
 from .runs import DEGREES, Load, Samples, samples
 from .series import Array
 from .tables import SCHEMA
@@ -114,13 +113,23 @@ def _drift(key: tuple[str, str, str, str], rows: Sequence[tuple[str, float]], ch
 
 
 def _less_others(values: dict[tuple[str, str, str, str], list[tuple[str, float]]]) -> None:
-    """Take from temperatures what the other controllers have in the same flight: the weather."""
-    before = {key: dict(rows) for key, rows in values.items() if key[3] == "°C"}
+    """Take from temperatures and currents what the other controllers have in the same flight: the weather.
+
+    The current that all have in common is a value of its own; a temperature in common is the weather's.
+    """
+    before = {key: dict(rows) for key, rows in values.items() if key[3] in ("°C", "A")}
+    for rows in before.values():  # each beside its own level: the median of levels would jump where two swap places
+        level = float(np.median(list(rows.values())))
+        rows |= {name: value - level for name, value in rows.items()}
     for key, own in before.items():
-        others = [rows for other, rows in before.items() if other[1:] == key[1:] and other[0] != key[0]]
+        peers = [rows for other, rows in before.items() if other[1:] == key[1:]]
+        others = [rows for rows in peers if rows is not own]
         if len(others) > 1:
             usual = {name: [rows[name] for rows in others if name in rows] for name in own}
-            values[key] = [(name, value - float(np.median(usual[name] or [0.0]))) for name, value in own.items()]
+            values[key] = [(name, value - float(np.median(usual[name]))) for name, value in own.items() if usual[name]]
+            if key[3] == "A":
+                middle = {name: float(np.median([rows[name] for rows in peers if name in rows])) for name in own}
+                values["all controllers", *key[1:]] = list(middle.items())
 
 
 def _beyond(flights: Sequence[tuple[Array, Array]]) -> list[float]:
@@ -210,10 +219,12 @@ def _rows(flight: _Flight, one: Samples, load: Load) -> None:
             if (values[good] > 0).mean() < 0.98:
                 continue
             good &= values > 0
-            values = np.log(np.maximum(values, 1e-9))
+            # At equal speed the power is the same: a lower supply means a higher current.
+            level = at.volts if supply and name == supply[1] else np.ones(len(values))
+            values = np.log(np.maximum(values * level, 1e-9))
         # In units that are the same in all flights.
         x = at.speed[good] / 1000
-        columns = [x, x**2, x**3, at.volts[good] / 10]
+        columns = [x, x**2, x**3]
         if least == "°C":
             columns += list((at.heat[good] / 1e6).T)
         _, second = np.unique(np.floor(one.times[good] / EVERY), return_inverse=True)
@@ -236,10 +247,8 @@ def _singles(flight: _Flight, found: dict[tuple[str, str], Samples], one: Sample
     if following is not None:
         shapes = range(0, len(SHAPES), 2)
         best = min(shapes, key=lambda shape: following.least(shape, LAGS[::3]))
-        sums = [float(following.squares(best, lag).sum()) for lag in LAGS]
-        lag = SHAPES[best] + float(LAGS[int(np.argmin(sums))])
-        if math.isfinite(lag):
-            flight.single[one.controller, "response to its command", "s", "lag"] = lag
+        sums = np.array([float(following.squares(best, lag).sum()) for lag in LAGS])
+        flight.single[one.controller, "response to its command", "s", "lag"] = SHAPES[best] + lowest(LAGS, sums)
 
 
 def lines(found: Sequence[Drift], notes: Sequence[str]) -> Iterator[str]:
