@@ -1581,7 +1581,7 @@ function T.test_a_file_of_rules()
       for i, rule in ipairs(options.rules) do texts[i] = (rule.source and rule.source .. ": " or "") .. rule.text end
       return table.concat(texts, " "), options.problems
     end
-    lu.assertEquals({ read_file("\239\187\191# rules\r\n fault = 0 # none\r\n\r\ncrc=1#\r\nunknown=2", ",motor.rate=9") },
+    lu.assertEquals({ read_file("\239\187\191# rules\r\n fault = 0 # none\r\n\r\ncrc=1 #\r\nunknown=2", ",motor.rate=9") },
       { "fault=0 crc=1 unknown=2 motor.rate=9", {} })
     lu.assertEquals(read_file("source=any#3 # left\nfault=0\nunknown=0\n"), "any#3: fault=0 any#3: unknown=0")
     -- a source of the file is not one of the rules behind it

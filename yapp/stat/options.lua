@@ -45,7 +45,7 @@ local function add_rule(options, text, catalogue, source)
   return rule
 end
 
--- The rules of a file, one a line.  A # begins a comment, unless it stands in the name of a source.
+-- The rules of a file, one a line.  A # behind a blank begins a comment.
 local function read_rules(options, path, catalogue)
   demand(options.line == "", "a file of rules names no other")
   local file, problem = io.open(path, "rb")
@@ -57,7 +57,6 @@ local function read_rules(options, path, catalogue)
   for line in (text:gsub("^\239\187\191", "") .. "\n"):gmatch("(.-)\r?\n") do
     number_of_line = number_of_line + 1
     local part = trim((" " .. line):gsub("%s#.*", ""))
-    if not part:find("^source%s*=") then part = trim(part:gsub("#.*", "")) end
     options.line = ("%s:%d: "):format(path, number_of_line)
     if part ~= "" then attempt(options, part, parse_check, catalogue) end
   end
