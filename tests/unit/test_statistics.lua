@@ -362,7 +362,9 @@ end
 function T.test_csv_is_printed()
   lu.assertEquals(run({ "csv,-,motor" }, ROWS), "time,frame,bus,source,id,seq," .. COLUMNS .. "\n" ..
     "1700000000.250000005,1,can0,left,528,0," .. CELLS .. "\n" .. '1700000001.000000005,3,"can""1",,528,7,' .. CELLS .. "\n")
-  lu.assertEquals(run({ "csv,-,motor,all" }, { ROWS[2] }), "time,frame,bus,source,id,seq,crc_good," .. COLUMNS .. "\n" ..
+  local copy = record(3, 0.6, { kind = "copies", values = { of = 1 } })
+  local cut = record(4, 0.7, { kind = "incomplete", values = { what = "incomplete" } })
+  lu.assertEquals(run({ "csv,-,motor,all" }, { ROWS[2], copy, cut }), "time,frame,bus,source,id,seq,crc_good," .. COLUMNS .. "\n" ..
     "1700000000.500000005,2,can0,left,528,0,0," .. CELLS .. "\n")
 end
 

@@ -50,9 +50,7 @@ end
 -- Begin the table of a message.
 local function begin(self, message_type, file)
   local names = {}
-  for i, column in ipairs(columns_of(self, message_type)) do
-    names[i] = text_of.quoted(column.name)
-  end
+  for i, column in ipairs(columns_of(self, message_type)) do names[i] = column.name end
   file:write(table.concat(names, ",") .. "\n")
   self.tables[message_type] = { file = file, rows = 0 }
 end
@@ -102,8 +100,9 @@ end
 --- Add the row of an event, see stat.answer.
 function Csv:add_event(event)
   local all, source, is_good = self.options.all, event.source, event.kind == "message"
-  local to = event.raws and self.tables[source.type]
-  if not (to and (is_good or all)) then return end
+  local is_wanted = event.raws and (is_good or all and event.kind == "crc")
+  local to = is_wanted and self.tables[source.type]
+  if not to then return end
   local time = self.context.dates:text(event.time)
   local crc_good = all and (is_good and "1," or "0,") or ""
   local parts = self.parts[source]
