@@ -119,7 +119,7 @@ end
 -- What follows from a message comes behind it; a silence in front of it, with the message before.
 function T.test_what_follows_from_a_message()
   local events, list = new_events()
-  local fault = { field = "bits", flag = { name = "one" }, incident = {} }
+  local fault = { field = "bits", flag = { name = "one" }, incident = {}, time = 1, key = frame_key.PACKET }
   report_message(events, message { frame = 1, time = 1,
     change = { faults = { { fault = fault, is_raised = true }, set = { fault } } } })
   report_message(events, message { frame = 2, time = 1.5, change = { late = 0.5, reboot = 3, missing = 2 } })

@@ -88,7 +88,7 @@ local function add_faults(records)
     local change = one.values.change
     if change and change.flags then
       by_source[one.source] = by_source[one.source] or faults_of.new()
-      change.faults = by_source[one.source]:update(change.flags, { key = one.frame, time = one.time or 0 })
+      change.faults = by_source[one.source]:update(change.flags, { key = one.frame * 0x20000, time = one.time or 0 })
     end
   end
 end

@@ -10,6 +10,7 @@
 --   follows_changes         true if it shows changes since the message before
 --   lists_problems          true if it lists ending.problems itself
 
+local fault_event = require("yapp.stat.events").fault_event
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
 local number_of = require("yapp.base.frame_key").number
@@ -141,7 +142,7 @@ local function count_active_faults(self, events)
   output.sort(list, function(event) return event.frame end)
   for _, event in ipairs(list) do
     for _, fault in ipairs(event.faults) do
-      self:count(events:fault_event(event, fault, "active"))
+      self:count(fault_event(event, fault, "active"))
     end
   end
 end

@@ -136,7 +136,6 @@ function M.new(settings, hand_on)
     hand_on = hand_on,
     states = states, -- in the order in which they came
     by_source = memo(new_state, states),
-    raised_at = {}, -- [fault of message.faults] = the event of the message that raised it
     doubtful = {}, -- events that a `shared` behind them may explain, { event, frame, state } each
     has_messages = false, -- true if an event of an ID came
     undissected = {}, -- events of frames that are messages if other messages came
@@ -161,14 +160,15 @@ local function room_of(source, length)
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
 end
 
---- Return the event of a fault, which is known only behind the last message that counts.
+--- Return the event of a fault.
 -- event  of the message; what: "raised", "cleared" or "active"
-function Events:fault_event(event, fault, what)
-  local flag, rise, active = fault.flag, self.raised_at[fault] or event, nil
+function M.fault_event(event, fault, what)
+  local flag, active = fault.flag, nil
   if what ~= "raised" then
-    active = span(rise.time, event.time)
-    if active == 0 and rise.frame ~= event.frame then active = nil end -- equal stamps tell nothing
-    active = output.seconds(active)
+    local length = span(fault.time, event.time)
+    -- Equal stamps of two packets tell nothing.
+    local is_known = length > 0 or number_of(fault.key) == event.frame
+    active = is_known and output.seconds(length) or nil
   end
   return new_follower("fault", event, {
     field = fault.field,
@@ -183,9 +183,7 @@ end
 
 local function add_faults(self, state, event, steps)
   for _, step in ipairs(steps) do
-    local fault, what = step.fault, step.is_raised and "raised" or "cleared"
-    if step.is_raised then self.raised_at[fault] = event end
-    self.hand_on(self:fault_event(event, fault, what))
+    self.hand_on(M.fault_event(event, step.fault, step.is_raised and "raised" or "cleared"))
   end
   state.faults = steps.set
 end
