@@ -78,7 +78,7 @@ local Summary = groups.class { follows_changes = true }
 M.new = Summary.new
 
 local function row_of(group, ending)
-  local row = output.row(group.source, {})
+  local row = {}
   for _, column in ipairs(COLUMNS.all) do
     local key, value = column.key, nil
     if column.kind then
@@ -87,9 +87,9 @@ local function row_of(group, ending)
       value = column.value and column.value(group) or group[key]
       if column.type == "seconds" then value = output.seconds(value) end
     end
-    row[key] = row[key] or value
+    row[key] = value
   end
-  return row
+  return output.row(group.source, row) -- its own columns
 end
 
 --- End, see stat.answer.
