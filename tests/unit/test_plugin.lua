@@ -87,6 +87,7 @@ local function set_globals(is_gui)
   _G.DissectorTable = { get = new_table }
   _G.Listener = { new = function() return {} end }
   _G.Dissector = { get = function(name) return stand_in("dissector " .. name) end }
+  _G.Listener = { new = function() return {} end }
   _G.Dir = { personal_config_path = function(name) return (said.config or "/nowhere/") .. name end }
   function _G.gui_enabled() return is_gui end
   function _G.register_stat_cmd_arg(name, f) seen.statistics[name] = f end

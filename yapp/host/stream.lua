@@ -229,17 +229,22 @@ local function part_tvb(part, tvb)
   return tvb(part.offset):tvb()
 end
 
+-- Return whether a packet of an adapter has the end of a header: at 115,200 baud adapters hand on
+-- 11 bytes a millisecond.
+local function finds_header(line, bytes)
+  local text = line.latest .. bytes
+  line.latest = text:sub(1 - frame.HEADER)
+  line.conversation.is_found = frame.find_header(text, 1) ~= nil
+  return line.conversation.is_found
+end
+
 --- Dissect a packet of USB that Wireshark has shown, if it has bytes of a serial line with YAPP.
 -- kind  of serial.usb
 function Dissector:dissect_usb(kind, tvb, pinfo, tree)
   local part = length_of(tvb) > 0 and self.usb:read_packet(kind, raw_of(tvb))
   if not part or part.bytes == "" then return end
   local line = self.reading.lines:of_adapter(part.line)
-  local conversation = line.conversation
-  if not pinfo.visited and not conversation.is_found then
-    conversation.is_found = frame.find_header(part.bytes, 1) ~= nil
-  end
-  if not conversation.is_found then return end
+  if not (line.conversation.is_found or finds_header(line, part.bytes)) then return end
   local length = part.truncated and #part.bytes + 1 or #part.bytes
   local packet, wants = new_packet(self, line, pinfo, tree, part.offset, part.bytes, length)
   dissect(self, packet, wants, wants.tree and part_tvb(part, tvb), pinfo, tree)
