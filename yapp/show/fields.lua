@@ -180,14 +180,7 @@ end
 
 -- Adding items ------------------------------------------------------------------------------------
 
--- As functions, the item first: a method that Lua has to look up in an item costs a third of what
--- adding a field does.
-local add = TreeItem.add
-local set_generated = TreeItem.set_generated
-M.add = add
-M.add_le = TreeItem.add_le
-M.append_text = TreeItem.append_text
-M.set_generated = set_generated -- no bytes of the packet hold the item's value
+local add, set_generated = TreeItem.add, TreeItem.set_generated
 
 --- Add an expert item.
 -- item  nil in a tap, which has no tree
@@ -203,10 +196,9 @@ end
 --- Return seconds, a double, as a time to the nanosecond.
 function M.relative_time(seconds)
   local sign = seconds < 0 and -1 or 1
-  local whole, rest = math.modf(sign * seconds)
-  rest = math.floor(rest * 1e9 + 0.5)
-  if rest == 1e9 then whole, rest = whole + 1, 0 end
-  return NSTime.new(sign * whole, sign * rest)
+  local count = math.floor(sign * seconds * 1e9 + 0.5)
+  local nanoseconds = count % 1e9
+  return NSTime.new(sign * (count - nanoseconds) / 1e9, sign * nanoseconds)
 end
 
 return M

@@ -75,14 +75,7 @@ local function show_last(self, result)
     if start < length then self:put_bytes("padding", start, length - start) end
   end
   self.tvb = payload_tvb
-  local mark = is_joined and parts.MARKS[transfer.status] or ""
-  if not transfer.received then return self:show_message(result) .. mark end
-  if wants.yapp then
-    self:add_payload(result.message, "payload", 0)
-    self:add_history(result.message)
-  end
-  local text = "%s  %d of %d bytes%s"
-  return text:format(frame.source.label, transfer.received, transfer.size, mark)
+  return self:show_message(result)
 end
 
 -- By source: the texts of the fragments of its messages of one size and number of fragments.

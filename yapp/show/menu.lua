@@ -6,8 +6,6 @@ local source_names = require "yapp.message.sources"
 
 local M = {}
 
-local EXTENDED, REMOTE, ID_END = 0x80000000, 0x40000000, 0x20000000 -- in the word that has the id
-
 local UNREAD = "YAPP: no packet was read, as no capture is open, or Wireshark still reads it: " ..
   "wait for the end, and try again"
 
@@ -55,23 +53,20 @@ local function bus_of(values)
   return bus and bus:gsub("\\(.)", "%1")
 end
 
--- Return the id and the data of a frame as `candump -l` writes them.
--- at  offset of the SocketCAN header: id and flags, length, flags of CAN FD, two bytes, data
-local function candump_text(tvb, at, id)
-  local word = tvb(at, 4):uint()
-  if word % ID_END ~= id then word = tvb(at, 4):le_uint() end -- as a cooked capture has it
-  local length, flags = tvb(at + 4, 1):uint(), tvb(at + 5, 1):uint()
-  local text = (word >= EXTENDED and "%08X#" or "%03X#"):format(id)
-  if word % EXTENDED >= REMOTE then return text .. "R" .. (length > 0 and length or "") end
+-- Return the id and the data of a frame of YAPP as `candump -l` writes them.
+-- offset  of the SocketCAN header: id, length, flags of CAN FD, two bytes, data
+local function candump_text(tvb, offset, id)
+  local length, flags = tvb(offset + 4, 1):uint(), tvb(offset + 5, 1):uint()
   local fd = (length > 8 or flags > 3) and "#" .. flags % 4 or ""
-  return text .. fd .. tostring(tvb(at + 8, length):bytes())
+  return ("%08X#%s%s"):format(id, fd, tostring(tvb(offset + 8, length):bytes()))
 end
 
 -- Copy the frames of a message as `candump -l` writes them.
 local function copy_as_candump(values)
   local bus, lines = bus_of(values) or "can0", {}
-  local tap = Listener.new("frame", "can.id && (frame.number == " .. values["frame.number"] ..
-    " || yapp.reassembled.in == " .. (values["yapp.reassembled.in"] or 0) .. ")")
+  local filter = "can.id && yapp.can.ctrl && (frame.number == %s || yapp.reassembled.in == %s)"
+  local tap = Listener.new("frame",
+    filter:format(values["frame.number"], values["yapp.reassembled.in"] or 0))
   function tap.packet(pinfo, tvb)
     for _, info in ipairs { all_field_infos() } do
       if info.name == "can.id" then
@@ -149,7 +144,7 @@ local function register_of_packet(prefs, catalogue)
   add_item("Name this controller ...", "yapp.id", function(values)
     ask_name(values, prefs.sources, catalogue)
   end)
-  add_item("Copy message as candump", "can.id", copy_as_candump)
+  add_item("Copy message as candump", "yapp.can.ctrl", copy_as_candump)
 end
 
 --- Make the menus.

@@ -49,16 +49,10 @@ local function begin_item(self, result)
 end
 
 local function show_message(self, result)
-  local message, transfer = result.message, result.transfer
-  local mark = parts.MARKS[transfer.status]
   if self.wants.yapp then begin_item(self, result) end
-  self.offset = transfer.offset + HEADER
+  self.offset = result.transfer.offset + HEADER
   self:add_anomalies(result.anomalies)
-  if transfer.status == "incomplete" and message.source.type then
-    self:add_payload(message, "payload", 0)
-    return message.source.label .. mark
-  end
-  return self:show_message(result) .. mark
+  return self:show_message(result)
 end
 
 -- Control characters of a terminal, and how they are shown.
@@ -106,14 +100,6 @@ local function show_result(self, result, tvb)
   return show_skipped(self, result)
 end
 
--- Return the text of the Info column about pending bytes.
-local function pending_text(contents, size, leads_to)
-  if leads_to then return ("[Reassembled in #%d]"):format(leads_to) end
-  if contents.is_held then return ("[%s behind a missing TCP segment]"):format(size) end
-  if contents.missing then return ("[%s of a frame, %d to come]"):format(size, contents.missing) end
-  return ("[%s wait for more]"):format(size)
-end
-
 -- Show the pending bytes of a packet.
 local function show_pending(self, packet, contents, tvb)
   local pending, leads_to = contents.pending, contents.leads_to and number_of(contents.leads_to)
@@ -125,7 +111,8 @@ local function show_pending(self, packet, contents, tvb)
     if leads_to then self:put("reassembled.in", leads_to) end
   end
   if contents.is_unfinished then self:add_expert("yapp.unfinished") end
-  return pending_text(contents, bytes_text(pending), leads_to)
+  if leads_to then return ("[Reassembled in #%d]"):format(leads_to) end
+  return ("[%s wait for more]"):format(bytes_text(pending))
 end
 
 -- Packets -----------------------------------------------------------------------------------------

@@ -26,10 +26,8 @@ local CRC = {
 }
 local UNVERIFIED = { 2, " [unverified]", ", CRC unverified" }
 
---- The last word in Info, by the status of a transfer.  Of a bad one BAD CRC is the first.
-M.MARKS = {
-  good = "",
-  bad = "",
+-- By status: the last word in Info, of a transfer that is neither good nor bad.
+local MARKS = {
   incomplete = "  [INCOMPLETE]",
   overrun = "  [OVERRUN]",
   truncated = "  [TRUNCATED]",
@@ -165,9 +163,9 @@ end
 
 -- Messages ----------------------------------------------------------------------------------------
 
---- Add what the message's history says to YAPP's own item: the time since the previous one, how
--- many are missing, whether a fault is set.
-function View:add_history(message)
+-- Add what the message's history says to YAPP's own item: the time since the previous one, how many
+-- are missing, whether a fault is set.
+local function add_history(self, message)
   local delta, missing = message.delta, message.change and message.change.missing
   if delta then self:put("time_delta", show_fields.relative_time(delta)) end
   if missing then self:put("seq.missing", missing) end
@@ -183,15 +181,14 @@ function View:add_payload(message, name, offset)
 end
 
 -- Add the expert item of a payload that does not have the catalogue's size.
--- returns  its text for the Info column
+-- returns  its text
 local function add_mismatch(self, message)
-  local source = message.source
+  local source, size = message.source, M.bytes_text(message.transfer.size)
   local least, most = source.min_size, source.size
   local known = least < most and ("%d to %d"):format(least, most) or most
-  local size = M.bytes_text(message.transfer.size)
-  local text = ("%s, the catalogue says %s"):format(size, known)
-  self:add_expert("yapp.size.mismatch", ("%s has %s"):format(source.label, text))
-  return ("%s, %s"):format(source.label, text)
+  local text = ("%s, %s, the catalogue says %s"):format(source.label, size, known)
+  self:add_expert("yapp.size.mismatch", text)
+  return text
 end
 
 -- Show that an ID is not in the catalogue.  If a message type has the size, the expert item has the
@@ -224,17 +221,31 @@ end
 
 -- Show the bytes of a message without values; return the text for the Info column.
 local function show_bytes(self, message)
+  local transfer, label, count = message.transfer, message.source.label, #message.payload
   self:add_payload(message, "payload", 0)
+  if transfer.status == "incomplete" or transfer.status == "overrun" then
+    local received = transfer.received or count
+    return ("%s  %d of %d bytes"):format(label, received, transfer.size)
+  end
   return message.source.type and add_mismatch(self, message) or show_unknown(self, message)
+end
+
+-- Show that a transfer is not good.
+-- returns  the text for the Info column with that
+local function show_damage(self, transfer, info)
+  if transfer.status ~= "bad" then return info .. MARKS[transfer.status] end
+  local text = "Received 0x%08x, expected 0x%08x"
+  self:add_expert("yapp.crc.bad", text:format(transfer.crc, transfer.calculated))
+  return "BAD CRC  " .. info
 end
 
 --- Show a message: its values if it is in the catalogue, or its bytes.
 -- result   of the reading, with the message
 -- returns  its text for the Info column; only a part of that if there are no columns
 function View:show_message(result)
-  local message, wants = result.message, self.wants
-  if wants.yapp then self:add_history(message) end
-  local info = ""
+  local message, wants, info = result.message, self.wants, ""
+  local transfer = message.transfer
+  if wants.yapp then add_history(self, message) end
   if not message.raws then
     info = show_bytes(self, message)
   elseif wants.columns then
@@ -244,12 +255,7 @@ function View:show_message(result)
     local before, behind = self.taurus:show(message, self)
     info = before .. info .. behind
   end
-  if message.status == "bad" then
-    local transfer = message.transfer
-    local text = "Received 0x%08x, expected 0x%08x"
-    self:add_expert("yapp.crc.bad", text:format(transfer.crc, transfer.calculated))
-    info = "BAD CRC  " .. info
-  end
+  if transfer.status ~= "good" then info = show_damage(self, transfer, info) end
   if message.copy_of then
     self:add_expert("yapp.copy")
     info = ("%s  [copy of #%d]"):format(info, number_of(message.copy_of))
@@ -257,7 +263,7 @@ function View:show_message(result)
   if message.undecoded then
     self:add_payload(message, "undecoded", message.source.size)
     add_mismatch(self, message)
-    local size = M.bytes_text(message.transfer.size)
+    local size = M.bytes_text(transfer.size)
     info = ("%s  [%s, %d not decoded]"):format(info, size, message.undecoded)
   end
   return info

@@ -16,7 +16,7 @@ local referenced, set_generated = TreeItem.referenced, TreeItem.set_generated
 local set_hidden, set_text = TreeItem.set_hidden, TreeItem.set_text
 local add_expert = show_fields.add_expert
 local fault_names, flag_names = text_of.fault_names, text_of.flag_names
-local format, range_of = string.format, Tvb.range
+local format, range_of, value_of = string.format, Tvb.range, field_kinds.value
 
 local NONE = {}
 local WAYS = { "raised", "cleared" }
@@ -84,7 +84,7 @@ local function new_adder(value)
   end
 end
 
-ADD.text = new_adder(field_kinds.value)
+ADD.text = new_adder(value_of)
 ADD.time = new_adder(function(_, raw) return NSTime.new(binary.time(raw, 0)) end)
 
 -- Return a function(raw) -> the ProtoFields of flags, those that are set first: of thirty faults
@@ -156,34 +156,20 @@ local function list_fields(self, message_type, tree)
   return list
 end
 
--- Return a function(raws) -> the number of a generated value, or nil.
-local function new_generated(item)
-  return function(raws) return tonumber(field_kinds.text(item, raws) or "") end
-end
-
--- Return a function(raws) -> the number of a value with as many digits as a column needs, or nil.
-local function new_rounded(row)
-  local field, shape = row.field, row.shape
-  return function(raws)
-    local raw = raws
-    if field.index then raw = raws[field.index] end
-    local value = field_kinds.value(field, raw)
-    return value and shape:format(value) + 0 -- adding 0 makes -0 a 0
-  end
-end
-
+-- List the values that are worked out: those of two fields, and those for columns, with as many
+-- digits as a column needs.  The latter are not among the details.
 local function list_values(self, message_type, tree)
   local list = {}
-  local function append(filter, unit, row, new)
+  local function append(filter, item, shape, unit)
     local pf = self.fields[filter]
-    if referenced(tree, pf) then list[#list + 1] = { pf = pf, unit = unit, read = new(row) } end
+    if not referenced(tree, pf) then return end
+    list[#list + 1] = { pf = pf, item = item, shape = shape, unit = unit }
   end
   for _, item in ipairs(message_type.generated) do
-    append(item.filter, item.unit, item, new_generated)
+    append(item.filter, item, item.shape, item.unit)
   end
-  -- Values for columns are not among the details.
   for _, row in ipairs(tree.visible and NONE or message_type.rounded) do
-    append(row.filter, nil, row, new_rounded)
+    append(row.filter, row.field, row.shape)
   end
   return list
 end
@@ -300,6 +286,19 @@ local function add_fields(message, plan, view, top)
   return items
 end
 
+-- Add the values that are worked out.
+local function add_values(message, plan, top)
+  for _, step in ipairs(plan.values) do
+    local item, raw = step.item, message.raws
+    if item.index then raw = raw[item.index] end
+    local value = value_of(item, raw)
+    if value then
+      value = step.shape:format(value) + 0 -- adding 0 makes -0 a 0
+      append_unit(set_generated(add(top, step.pf, value)), step.unit)
+    end
+  end
+end
+
 -- Build it; return it, the items by index of field, for the expert items, and the one of faults.
 local function build_tree(self, message, view)
   local message_type, tree, faults = message.source.type, view.tree, nil
@@ -312,10 +311,7 @@ local function build_tree(self, message, view)
     faults = add_faults(message, top)
   end
   local items = add_fields(message, plan, view, top)
-  for _, step in ipairs(plan.values) do
-    local value = step.read(message.raws)
-    if value then append_unit(set_generated(add(top, step.pf, value)), step.unit) end
-  end
+  add_values(message, plan, top)
   for _, step in ipairs(message.state and plan.states or NONE) do
     local value = message.state[step.name]
     if value then
