@@ -104,6 +104,7 @@ local function check_options(row, what, options, count)
       local types = OPTION_TYPES[key] or "string"
       demand(types:find(type(value), 1, true), "%s must be a %s, not %s", key, types, shown(value))
       demand(type(value) ~= "string" or is_text(value), "%s has a sign that cannot be shown", key)
+      demand(type(value) ~= "number" or value - value == 0, "%s is not finite", key)
     else
       demand(input.is_integer(key) and key >= 1 and key <= count, "unknown option %s; %s has %s",
         shown(key), what, input.names(options))
@@ -123,12 +124,6 @@ end
 
 -- Fields -----------------------------------------------------------------------------------------
 
--- Raise that a number has no room in a field.
-local function check_fits(field, what, number, lowest)
-  local fits = input.is_integer(number) and number >= lowest and number <= field.top
-  demand(fits, "%s %s does not fit the type %s", what, shown(number), field.type)
-end
-
 local function add_flags(message_type, field, row)
   demand(input.is_name(row.group), "flags need a group, a name for their filters")
   field.kind, field.flags = "flags", {}
@@ -137,7 +132,7 @@ local function add_flags(message_type, field, row)
   for i, flag in ipairs(row.flags) do
     check_row(flag, "flag " .. i, FLAG_OPTIONS, 3)
     local name, mask = flag[1], flag[2]
-    check_fits(field, name .. ": mask", mask, 1)
+    input.within(name .. ": mask", mask, 1, field.top)
     local taken = mask - band(mask, field.undefined)
     demand(taken == 0, "%s: bit 0x%X is already another's", name, taken)
     field.undefined = field.undefined - mask
@@ -182,7 +177,7 @@ local function add_values(field, row)
   field.values, field.invalid = row.values, row.invalid or "value.invalid"
   demand(INVALID[field.invalid], "invalid is value.invalid or command.key.invalid")
   for value, meaning in pairs(row.values) do
-    check_fits(field, "value", value, field.bottom)
+    input.within("value", value, field.bottom, field.top)
     demand(is_text(meaning), "value %s has no meaning in words", shown(value))
   end
 end
@@ -353,7 +348,7 @@ local NOT_READ = "%s: the entry %s is not read: the file must return a list of m
   "{ { name = ... }, { name = ... } }, without a key in front and without a nil between"
 
 local function name_of(entry)
-  return type(entry) == "table" and entry.name or false
+  return type(entry) == "table" and tostring(entry.name)
 end
 
 -- Run a file.
