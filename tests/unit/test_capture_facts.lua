@@ -89,7 +89,7 @@ end
 
 -- The capture of a file.
 -- found  what capture.file says of it
--- with   { words = of the command line, head, has_two_passes,
+-- with   { words = of the command line, head, has_two_passes, why = it is damaged,
 --        is_missed = it was opened before the plugin was loaded }
 local function capture_of(found, with)
   with = with or {}
@@ -114,7 +114,7 @@ local function capture_of(found, with)
     log = function() return said.log or {} end, current = function() return unpack_all(said.current or {}) end }
   local capture = require("yapp.capture.capture").watch()
   local file = {}
-  function file.read() return with.head or HEAD end
+  function file.read() return with.head or HEAD, with.why end
   function file.seek(_, how, offset)
     if offset > 2 ^ 40 then return not with.has_two_passes and offset or nil end
     seen.sought = { how, offset }
@@ -150,14 +150,14 @@ function T.test_what_is_a_file()
   lu.assertFalse(seen.compares_times, "a user may shift the times there")
 end
 
--- When fields tell the bus: of a live capture, behind what was read of a pipe.
+-- When fields tell the bus: of a live capture, behind what was read of a pipe, of a damaged file.
 function T.test_when_fields_are_needed()
   local pipe = { words = { "-r", "-" } }
   for i, row in ipairs {
     { {}, {}, 0 }, { { is_live = true }, {}, 1 }, { { has_several = true }, { head = "short" }, 1 },
     { { has_several = true }, {}, 0 }, { { may_add_buses = true }, pipe, 1 }, { {}, pipe, 0 },
     { { may_add_buses = true }, { words = pipe.words, head = "short" }, 0 },
-    { {}, { is_missed = true }, 0 },
+    { {}, { why = "damaged" }, 1 }, { {}, { is_missed = true }, 0 },
   } do
     seen.taps, row[1].is_told = {}, true
     capture_of(row[1], row[2])

@@ -43,18 +43,22 @@ function M.watch()
   local handler = FileHandler.new("YAPP reads heads of files (opens none)", "yapp_head",
     "Looks at the headers", "rms")
   function handler.read_open(file, _)
-    local head = file:read(files.HEAD) or ""
+    local head, why = file:read(files.HEAD)
+    head = head or ""
     self.is_short = #head < files.HEAD
     local may_read = not self.is_short and is_file(file)
     file:seek("set", #head)
     local function more(skip, count)
       if not may_read then return nil end
       if skip > 0 then file:seek("cur", skip) end
-      return (file:read(count))
+      local bytes, problem = file:read(count)
+      why = why or problem
+      return bytes
     end
     self.seen = files.read(head, more)
     self.has_seen_file = true
     self.is_long_pipe = not (self.is_short or may_read)
+    self.is_damaged = why ~= nil -- as a compressed file that was cut off
     file_readers.forget()
     return false
   end
@@ -107,7 +111,7 @@ local function are_fields_needed(self)
   -- A short file may be of a live capture that already had packets when it was opened.
   local may_go_on = self.is_short and found.has_several or found.is_live
   local is_open = self.is_long_pipe and found.may_add_buses
-  return may_go_on or is_open or self:missed_file()
+  return may_go_on or is_open or self.is_damaged or self:missed_file()
 end
 
 --- Use the file that was seen last: it is about to be dissected.  Files seen before it did not
