@@ -7,7 +7,7 @@ local unpack_all = table.unpack or unpack -- luacheck: ignore
 
 local T = {}
 
-local GLOBALS = { "FileHandler", "register_filehandler", "gui_enabled", "Dir", "Listener" }
+local GLOBALS = { "FileHandler", "register_filehandler", "gui_enabled", "Listener" }
 local MODULES = { "yapp.capture.capture", "yapp.capture.file", "yapp.capture.fields", "yapp.capture.command_line",
   "yapp.file.readers" }
 local real = { open = io.open, loaded = {} }
@@ -56,33 +56,6 @@ function T.test_options_of_the_command_line()
   said.is_gui = false
   function io.open() end -- luacheck: ignore
   lu.assertEquals(command.options(), {})
-end
-
-local function files(list)
-  _G.Dir = { open = function(folder)
-    if not list then error("no folder") end
-    seen.folder = folder
-    local i = 0
-    return setmetatable({ close = function() end }, { __call = function()
-      i = i + 1
-      return list[i]
-    end })
-  end }
-end
-
-function T.test_files_that_a_capture_went_on_in()
-  local count = require("yapp.capture.command_line").count_later_files
-  local since = os.time { year = 2026, month = 11, day = 26, hour = 10, min = 0, sec = 0 }
-  files { "run_00001_20261126100000.pcapng", "run_00002_20261126100000.pcapng", "run_00003_20261126100001.pcapng",
-    "run_00004_20261126095959.pcapng", "run_20261126100100_00005.pcapng", "run_20261126100000_00001.pcapng",
-    "other_00002_20261126100100.pcapng", "run.pcapng", "run_2_20261126100000.pcapng",
-    "run_00000_20261126100500.pcapng" }
-  lu.assertEquals(count({ b = "filesize:1", w = "/tmp/here/run.pcapng" }, since), 3)
-  lu.assertEquals(seen.folder, "/tmp/here/")
-  lu.assertEquals({ count({ ["ring-buffer"] = "files:2", w = "run" }, since), seen.folder }, { 3, "." })
-  lu.assertEquals(count({ w = "run" }, since), 0)
-  files(nil)
-  lu.assertNil(count({ b = "filesize:1", w = "run" }, since))
 end
 
 -- Captures ------------------------------------------------------------------------------------------------------------

@@ -16,17 +16,6 @@ function M.number(key)
   return floor(key / 0x20000)
 end
 
---- Forget the newest packet: a read filter dropped it, and the next packet has its number.  Its
--- frames get keys that no frame has (key - 0.5).
--- keys    ascending list, which changes
--- number  of the packet
-function M.forget(keys, number)
-  for i = #keys, 1, -1 do
-    if floor(keys[i] / 0x20000) ~= number then return end
-    keys[i] = keys[i] - 0.5
-  end
-end
-
 --- Return the index of the last number <= limit in an ascending list, 0 for none: 2 for { 3, 5, 9 }
 -- and 8.
 function M.last_until(numbers, limit)

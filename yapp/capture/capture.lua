@@ -148,11 +148,6 @@ function Capture:missed_file()
   return not (IS_TSHARK or self.has_seen_file)
 end
 
---- Return whether the capture is a regular file, and longer than its first bytes.
-function Capture:has_more_to_read()
-  return not (self.is_short or self.is_long_pipe)
-end
-
 --- Return whether the capture is known to have several buses.
 function Capture:are_several()
   return self.found.has_several or file_readers.log().has_several
@@ -183,11 +178,6 @@ function Capture:is_time_real(time)
   local _, has_clock = self:has_times()
   if not has_clock or time ~= 0 then return has_clock end
   return self.found.stamps_differ or file_readers.log().stamps_differ or false
-end
-
---- Return the seconds from the first packet of the capture to the current one.
-function Capture.time(_, pinfo)
-  return pinfo.rel_ts
 end
 
 --- Return when the time of a packet counts from: that of the first packet, to the nanosecond where

@@ -164,12 +164,9 @@ local function id_before(frame, tvb)
   local has_room = offset >= HEADER and offset <= tvb:len()
   if not has_room or tvb(offset - 4, 1):uint() ~= frame.length then return known_id end
   local start = tvb(offset - HEADER, 4)
-  local word, other = start:uint(), start:le_uint()
-  -- Big endian are SocketCAN's own encapsulation and PPI; little endian cooked captures and logs.
-  local is_big = offset == HEADER and not get_preference("can.byte_swap") or offset == 2 * HEADER
-  if not is_big then word, other = other, word end
-  -- A known id proves the header and its byte order.
-  if known_id and word % MASK ~= known_id then word = other end
+  -- Big endian is SocketCAN's own encapsulation; little endian cooked captures.
+  local is_big = offset == HEADER and not get_preference("can.byte_swap")
+  local word = is_big and start:uint() or start:le_uint()
   if known_id and word % MASK ~= known_id then return known_id end
   return data_id(word)
 end

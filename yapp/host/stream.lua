@@ -113,7 +113,7 @@ local function new_packet(self, line, pinfo, tree, offset, bytes, length)
   return {
     key = number * PACKET + offset,
     number = number,
-    time = self.buses:time(pinfo), -- seconds since the first packet
+    time = pinfo.rel_ts, -- seconds since the first packet
     epoch = (is_truncated or line.is_tcp) and pinfo.abs_ts, -- since 1970, or false
     visited = visited,
     bytes = bytes, -- those that were captured

@@ -18,8 +18,8 @@ local MAY_GO_ON = gui_enabled() and not yapp_is_whole -- a live capture; a page 
 local FAILED = "the plugin failed, so the answer is incomplete: %s, see the filter _ws.lua.error"
 local UNREAD = "only %d of %d packets were read, as the reading was stopped, or another window " ..
   "read: press Refresh"
-local GOES_ON = "only %s were read: the live capture (-b) went on in %s, which tshark " ..
-  "does not analyse: read each file with tshark -r"
+local GOES_ON = "only %s were read: of a live capture with -b tshark analyses the first file: " ..
+  "read each file with tshark -r"
 local UNDECODED = "%s in this file %s not decoded; try %s"
 local RELOADED = "Lua plugins were reloaded while the capture was open, so not all of it is " ..
   "known: reload the capture, too (Ctrl+R)"
@@ -117,7 +117,7 @@ local function tap_packets(self)
 end
 
 local function open(self)
-  self.command, self.began = command.options(), os.time()
+  self.command = command.options()
   self.current, self.taps = run_of.new(self.settings, hint_of(self.command)), {}
   self.reading:listen(self.current)
   self.headers:open()
@@ -137,10 +137,8 @@ local function explain_unread(self)
   if not IS_TSHARK then
     return packets < self.total and UNREAD:format(packets, self.total) or nil
   end
-  local files = command.count_later_files(self.command, self.began)
-  if files == 0 then return nil end
-  local more = files and output.count(files, "more file") or "more files"
-  return GOES_ON:format(output.count(packets, "packet"), more)
+  local is_ring = self.command.b or self.command["ring-buffer"]
+  return is_ring and GOES_ON:format(output.count(packets, "packet")) or nil
 end
 
 -- Return that YAPP in this file was not decoded; nil if no trace of it was found.
