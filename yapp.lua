@@ -3,7 +3,7 @@
 -- The entry point: makes the protocols, preferences and dissectors and registers them.  README.md
 -- says how to use the plugin.
 
-local VERSION = "2.3.0"
+local VERSION = "3.0.0"
 local EXIT_UNDECIDED = 21 -- as in stat.output, which may not load
 local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 

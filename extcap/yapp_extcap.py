@@ -30,7 +30,7 @@ try:
 except ImportError:  # Windows
     termios = None
 
-VERSION = "2.3.0"
+VERSION = "3.0.0"
 PAUSE = 0.002  # seconds: bytes with no longer pause between them are one packet,
 LONGEST = 0.02  # of no more seconds than this,
 LARGEST = 4096  # and no more bytes

@@ -72,7 +72,7 @@ def test_a_capture_without_a_decoded_message(make_capture, yapp_tables):
 
 def test_a_named_plugin_that_is_not_used_is_said(make_capture, yapp_tables):
     """Wireshark takes the installed one: what stands in the tables is of its catalogue."""
-    said = "yapp: ./yapp.lua (2.3.0) is not loaded: /home/me/yapp.lua (2.3.0) is already there"
+    said = "yapp: ./yapp.lua (3.0.0) is not loaded: /home/me/yapp.lua (3.0.0) is already there"
     done = yapp_tables("report", make_capture("flight.pcapng", motor=[motor_row(0)], summary=SUMMARY[:1], says=said))
     assert (done.returncode, "already there" in done.stderr) == (3, True)
 
