@@ -3,6 +3,7 @@
 
 import csv
 import os
+import shlex
 import subprocess
 import sys
 
@@ -13,6 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 import yapp_tables as yt
 from running import FAKE, motor_row, result
+from yapp_tables import cli
+from yapp_tables.cli import EXAMPLES
 
 TABLES = ["events", "faults", "flights", "motor", "points", "statistics", "steps", "summary"]
 
@@ -167,6 +170,17 @@ def test_bad_input_gets_a_sentence(make_capture, yapp_tables, arguments, code, s
     assert done.returncode == code
     assert sentence in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("command", EXAMPLES)
+def test_help_has_two_examples_that_can_be_parsed(command, capsys):
+    with pytest.raises(SystemExit):
+        cli.main([command, "--help"])
+    said = capsys.readouterr().out
+    assert said.count(f"\n  yapp-tables {command}") == 2
+    for example in EXAMPLES[command]:
+        words = shlex.split(example.partition("&&")[0].partition("||")[0])
+        assert cli._parser().parse_args([command, *words]).run
 
 
 def test_version(yapp_tables):

@@ -115,7 +115,7 @@ def aligned(path: Path, found: Mapping[tuple[str, str], Samples]) -> Bench:
                 f"{other:.3f}): log a step of the speed that comes once, or cut the log"
             )
     rate, offset = _clock(one, times, speed, offset)
-    said = f"{path.name} begins {offset:+.3f} s from the capture's first packet, its clock runs {rate * 1e6:+.0f} ppm"
+    said = f"{path.name} begins {offset:+.3f} s from the first message, its clock runs {rate * 1e6:+.0f} ppm"
     said += f" (correlation {fit:.3f} with the speed of {one.controller})"
     return Bench(one.controller, times * (1 + rate) + offset, columns, said)
 

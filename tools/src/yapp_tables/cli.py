@@ -21,6 +21,19 @@ from .scratch import write_whole
 from .tshark import Tshark, left_out
 
 FAILED, REFUSED, INCOMPLETE = 1, 2, 3
+# Two examples of each command, behind its --help.
+EXAMPLES = {
+    "convert": ("'flights/**/*.pcapng' --to parquet --out data", "bench.pcapng --with stand.csv --to csv --out bench"),
+    "prune": ("--out data", "--to delta --out s3://bucket/lake"),
+    "report": ("run.pcapng --out flight.html", "a.pcapng b.pcapng --overlay --rules flight.rules --out both.html"),
+    "graphs": ("run.pcapng", "run.pcapng --out ~/.config/wireshark/profiles/bench"),
+    "diff": ("before.pcapng after.pcapng", "'old/*.pcapng' 'new/*.pcapng' --rules flight.rules --junit diff.xml"),
+    "trend": ("data", "data --out trend.html"),
+    "baseline": ("'good/*.pcapng' --out flight.rules", "'good/*.pcapng' --margin 20% --out flight.rules"),
+    "install": ("", "&& yapp-tables check"),
+    "check": ("", "|| yapp-tables install"),
+    "uninstall": ("", "--purge"),
+}
 CAPTURES = "files, patterns such as 'flights/**/*.pcapng', - for a list from stdin"
 
 
@@ -111,6 +124,9 @@ def _parser() -> argparse.ArgumentParser:
         command = commands.add_parser(what, help=text)
         command.set_defaults(run=_install, what=what, purge=False)
     command.add_argument("--purge", action="store_true", help="what you changed, too")
+    for name, command in commands.choices.items():
+        lines = "\n".join(f"  yapp-tables {name} {example}" for example in EXAMPLES[name])
+        command.epilog, command.formatter_class = f"examples:\n{lines}", argparse.RawDescriptionHelpFormatter
     return parser
 
 

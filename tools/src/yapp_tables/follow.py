@@ -105,6 +105,8 @@ def command_of(samples: Mapping[tuple[str, str], Samples], own: Samples) -> tupl
         if good.sum() > 50 and np.std(latest[good]) > 0:
             # Its unit may be another one: the controller's own is taken.
             scale, offset = np.polyfit(latest[good], told[good], 1)
+            if abs(scale - 1) < 1e-3:
+                scale, offset = 1.0, 0.0
             if np.std(told[good] - scale * latest[good]) < 0.25 * np.std(told[good]):
                 return one.times, scale * values + offset
     return own.times, told

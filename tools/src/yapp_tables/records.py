@@ -240,7 +240,9 @@ def all_tables(export: Export, origin: Origin, log: Path | None = None) -> list[
     columns = {name: columns_of(export.fields, name) for name in TABLES}
     columns["faults"] = {name: each for name, each in columns["faults"].items() if name in columns["events"]}
     events = table(export.records["events"], columns["events"])
-    found = samples(_following(export, origin))
+    following = _following(export, origin)
+    start = min((int(each["time"][0].value) for each in following.values()), default=0)
+    found = samples(following, start=start)
     bench = aligned(log, found) if log else None
     extra = point_columns(found, list(bench.columns) if bench else [])
     columns["points"] |= {each[0]: column(*each) for each in extra}
@@ -251,8 +253,8 @@ def all_tables(export: Export, origin: Origin, log: Path | None = None) -> list[
         "faults": lambda: faults(events, columns["faults"]),
         "summary": lambda: table(export.records["summary"], columns["summary"]),
         "statistics": lambda: statistics(export.records["summary"], columns["statistics"]),
-        "steps": lambda: _timed(steps(found), columns["steps"]),
-        "points": lambda: _timed(points(found, vars(bench) if bench else None), columns["points"]),
+        "steps": lambda: _timed(steps(found), columns["steps"], start),
+        "points": lambda: _timed(points(found, vars(bench) if bench else None), columns["points"], start),
         # Asked last: the times are known then.
         "flights": lambda: _flight(export, origin, rows, events),
     }
@@ -276,8 +278,8 @@ def _following(export: Export, origin: Origin) -> dict[str, pa.Table]:
     return tables
 
 
-def _timed(rows: Iterable[Record], columns: Mapping[str, Column]) -> pa.Table:
-    return table([row | {"time": Decimal(round(row.pop("at") * 1e9)).scaleb(-9)} for row in rows], columns)
+def _timed(rows: Iterable[Record], columns: Mapping[str, Column], start: int) -> pa.Table:
+    return table([row | {"time": Decimal(start + round(row.pop("at") * 1e9)).scaleb(-9)} for row in rows], columns)
 
 
 def _flight(export: Export, origin: Origin, rows: Sequence[Rows], events: pa.Table) -> pa.Table:

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Steps and operating points of a known controller, and the log of a thrust stand beside them."""
+
+import csv
+import math
+import random
+
+import numpy as np
+import pairs
+import pyarrow.parquet as pq
+import pytest
+from running import PLUGIN, run_tables
+from yapp_tables import bench, steps
+from yapp_tables.errors import SetupError
+from yapp_tables.runs import Samples
+
+
+def controller(changes, tau=0.2, dead=0.05, every=0.1, seconds=40.0, overshoot=0.0, offset=0.0):
+    """A controller that follows changes [(time, speed)] with a known response, its times jittered by the recorder."""
+    rng = np.random.default_rng(1)
+    clock = np.arange(0.03, seconds, every)
+    told, value = np.zeros(len(clock)), np.zeros(len(clock))
+    for at, (begin, target) in enumerate(changes):
+        before = changes[at - 1][1] if at else 0.0
+        since = clock - begin - dead
+        there = since >= 0
+        answer = 1 - np.exp(-since / tau) * (
+            1 - overshoot * np.sin(math.pi * np.clip(since, 0, 1)) * np.exp(since / tau)
+        )
+        value[there] = before + (target - before) * answer[there] + offset
+        told[clock >= begin] = target
+    about = {"rpm_commanded": {"unit": "RPM", "role": "value"}, "rpm_measured": {"unit": "RPM", "role": "value"}}
+    about |= {"heat": {"unit": "°C", "role": "value"}, "clock": {"unit": "s", "role": "clock"}}
+    columns = {"rpm_commanded": told, "rpm_measured": value, "heat": 20 + clock / 30, "clock": clock + 500}
+    times = clock + rng.uniform(0, 0.01, len(clock))
+    motor = Samples("m", "motor", "Motor", every, about, times, np.arange(len(clock)), columns, {("can0", 0x210)})
+    when = np.arange(0, seconds, 0.02)
+    rpm = np.array([next((rpm for at, rpm in reversed(changes) if at <= now), 0.0) for now in when])
+    command = Samples("can0 0x000 Command", "command", "Command", 0.02, {"rpm": {"unit": "RPM", "role": "value"}}, when,
+                      np.arange(len(when)), {"rpm": rpm}, {("can0", 0)})  # fmt: skip
+    return {("m", "motor"): motor, ("can0 0x000 Command", "command"): command}
+
+
+CHANGES = [(2.0, 2000.0), (10.0, 4000.0), (20.0, 3000.0), (30.0, 3040.0)]
+
+
+def test_steps_of_a_known_response():
+    found = list(steps.steps(controller(CHANGES, offset=7.0)))
+    assert [(row["before"], row["after"]) for row in found] == [(0, 2000), (2000, 4000), (4000, 3000)]  # 40 is no step
+    for row in found:
+        assert row["dead_time"] == pytest.approx(0.05 + 0.2 * math.log(1 / 0.9), abs=0.04)
+        assert row["lag"] == pytest.approx(0.25, abs=0.03)
+        assert row["rise_time"] == pytest.approx(0.2 * math.log(9), abs=0.06)
+        assert row["settling_time"] == pytest.approx(0.05 + 0.2 * math.log(20), abs=0.12)
+        later = 40 if row["after"] == 3000 else 0  # too little to be a step
+        assert row["final_error"] == pytest.approx(7.0 + later, abs=0.5)
+        assert row["overshoot"] < 0.01
+        assert row["resolution"] == 0.1
+
+
+def test_overshoot_and_what_never_settles():
+    (row,) = list(steps.steps(controller([(2.0, 2000.0)], tau=0.05, overshoot=0.3)))
+    assert row["overshoot"] == pytest.approx(0.3, abs=0.03)
+    short = list(steps.steps(controller([(2.0, 2000.0), (2.7, 3000.0), (2.9, 1000.0)], tau=3.0)))
+    assert [(row["after"], row.get("settling_time")) for row in short] == [
+        (2000, None),
+        (1000, pytest.approx(11, abs=3)),
+    ]
+
+
+def test_a_ramp_has_no_step():
+    ramp = [(2 + n * 0.02, 10.0 * n) for n in range(300)]
+    assert list(steps.steps(controller(ramp))) == []
+
+
+def test_points_are_the_holds():
+    found = list(steps.points(controller(CHANGES)))
+    assert [row["command"] for row in found] == pytest.approx([2000, 4000, 3000 + 40 * 10 / 20], rel=0.01)
+    for row, (_, speed) in zip(found, CHANGES[:3], strict=True):
+        assert row["rpm_measured"] == pytest.approx(speed, rel=0.02)
+        assert row["heat_slope"] == pytest.approx(2.0, abs=0.01)
+    assert [row["length"] for row in found] == pytest.approx([8, 10, 20], abs=0.1)
+
+
+def log_of(path, found, offset, ppm=0.0, noise=5.0, cut=(0.0, 99.0), factor=1.0):
+    """Write the log of a stand whose clock began `offset` seconds after the capture's, 20 rows a second."""
+    rng, motor = random.Random(2), found["m", "motor"]
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["Time (s)", "Motor Electrical Speed (RPM)", "Thrust (kgf)", "Note"])
+        for tick in range(int(cut[0] * 20), int(min(cut[1], 39) * 20)):
+            own = tick / 20
+            at = offset + own * (1 + ppm / 1e6)
+            speed = float(np.interp(at, motor.times, motor.columns["rpm_measured"])) * factor
+            rows.writerow([f"{own:.3f}", f"{speed + rng.gauss(0, noise):.1f}", f"{speed**2 * 1e-7:.5f}", "ok"])
+    return path
+
+
+@pytest.mark.parametrize(("offset", "ppm", "factor"), [(3.217, 0, 1), (-4.55, 300, 7), (0.0, -200, 1)])
+def test_a_bench_is_aligned_by_its_speed(tmp_path, offset, ppm, factor):
+    found = controller([(4.0, 2000.0), (11.0, 4000.0), (19.0, 3000.0), (27.0, 3900.0), (34.0, 900.0)])
+    log = bench.aligned(log_of(tmp_path / "bench.csv", found, offset, ppm, factor=factor), found)
+    assert log.controller == "m"
+    true = offset + np.arange(len(log.times)) / 20 * (1 + ppm / 1e6)
+    assert np.abs(log.times - true).max() < 0.06
+    assert set(log.columns) == {"bench_motor_electrical_speed_rpm", "bench_thrust_kgf"}
+    assert f"{offset:+.1f}"[:4] in log.said or offset == 0
+    rows = list(steps.points(found, vars(log)))
+    # The last second of a log that begins earlier is of no hold.
+    whole = [row for row in rows if row["bench_thrust_kgf"] is not None]
+    assert len(whole) >= 4
+    for row in whole:
+        assert row["bench_thrust_kgf"] == pytest.approx((row["rpm_measured"] * factor) ** 2 * 1e-7, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("changes", "cut", "said"),
+    [
+        ([(5.0 + 5 * n, 3000.0 if n % 2 else 2000.0) for n in range(6)], (10.0, 22.0), "ambiguous, offsets of"),
+        (CHANGES, (0.0, 99.0), "fits no controller"),
+    ],
+)
+def test_what_fits_twice_or_not_at_all_is_refused(tmp_path, changes, cut, said):
+    found = controller(changes)
+    path = log_of(tmp_path / "bench.csv", found, 0.0, cut=cut)
+    if "no controller" in said:
+        path = log_of(path, controller([(3 * n, random.Random(n).uniform(500, 4000)) for n in range(12)]), 0.0)
+    with pytest.raises(SetupError, match=said):
+        bench.aligned(path, found)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("a,b\n" + "1,2\n" * 30, "no column of time"), ("time,b\n" + "1,2\n" * 30, "no column of speed"),
+     ("time,rpm\nx,1\n", "has 2 rows"), ("time,rpm\n" + "x,1\n" * 30, "is no time")],
+)  # fmt: skip
+def test_what_is_no_log(tmp_path, text, said):
+    (tmp_path / "bench.csv").write_text(text)
+    with pytest.raises(SetupError, match=said):
+        bench.read(tmp_path / "bench.csv")
+
+
+def test_a_conversion_has_both_tables_and_prints_the_offset(tmp_path):
+    pairs.write(tmp_path / "run.pcapng", "bench", seconds=60)
+    how = ["--to", "parquet", "--plugin", PLUGIN, *pairs.OPTIONS]
+    assert run_tables(tmp_path, "convert", "run.pcapng", "--out", "first", *how).returncode == 0
+    motor = pq.read_table(tmp_path / "first/message=motor").filter(pq_is("fl")).sort_by("time")
+    times = motor["time"].cast("int64").to_numpy() / 1e9
+    with (tmp_path / "bench.csv").open("w") as file:
+        file.write("t,rpm,torque\n")
+        for at in np.arange(times[0] + 2.5, times[-1] - 1, 0.05):
+            rpm = np.interp(at, times, motor["rpm_measured"].to_numpy())
+            file.write(f"{at - times[0] - 2.5:.3f},{rpm:.1f},{rpm / 1000:.4f}\n")
+    done = run_tables(tmp_path, "convert", "run.pcapng", "--out", "data", "--with", "bench.csv", *how)
+    # All four controllers fly the same: which one stood on the bench is not known.
+    assert (done.returncode, "ambiguous" in done.stderr) == (1, True), done.stderr
+    one = ["--filter", 'yapp.source == "fl" || yapp.id == 0']
+    done = run_tables(tmp_path, "convert", "run.pcapng", "--out", "data", "--with", "bench.csv", *how, *one)
+    assert done.returncode == 0, done.stderr
+    assert "bench.csv begins +2.5" in done.stderr, done.stderr
+    points = pq.read_table(tmp_path / "data/message=points").to_pylist()
+    known = [row for row in points if row["bench_torque"] is not None]
+    assert len(known) >= 2
+    for row in known:
+        assert row["bench_torque"] == pytest.approx(row["rpm_measured"] / 1000, rel=0.01)
+    assert pq.read_table(tmp_path / "data/message=steps").num_rows >= 2
+
+
+def pq_is(name):
+    """An expression: rows of this controller."""
+    import pyarrow.compute as pc
+
+    return pc.field("source") == name
