@@ -101,6 +101,7 @@ end
 -- In tshark's first pass the answer is one table for all packets; in Wireshark, and in later
 -- passes, it may change.
 function Wants:ask(tree, pinfo, visited)
+  if not tree then return { is_only_pass = self.is_only_pass } end -- a tap shows nothing
   if IS_TSHARK and not visited then
     self.first_pass = self.first_pass or ask_first_pass(self, tree, pinfo)
     return self.first_pass
