@@ -70,9 +70,9 @@ local function frames_since(open, message)
 end
 
 -- The first choice of frames, the last one among them, that is a good message.  Each may be left out
--- if another Start came, else one that came twice.
+-- if another Start came (may_skip), else one that came twice.
 -- returns  the chosen frames and the padding of the last
-local function choose(self, message, frames, has_others)
+local function choose(self, message, frames, may_skip)
   local chosen = {}
   local function try(first, needed)
     for i = first, #frames do
@@ -87,7 +87,7 @@ local function choose(self, message, frames, has_others)
         if zeros then return zeros end
       end
       chosen[#chosen] = nil
-      if not (has_others or frame.is_repeated) then return nil end
+      if not (may_skip or frame.is_repeated) then return nil end
     end
   end
   local zeros = try(1, message.size)
@@ -234,16 +234,14 @@ local function take_fragment(self, slot, frame, id, say)
     local fits = not messages[2] and padding(frame, newest.size - bytes_of(frames_since(open, newest)) +
       frame.reported)
     local index, chosen, zeros = 0, nil, nil
-    local all = frames_since(open, newest)
-    local rest = padding(frame, newest.size - bytes_of(all) + frame.reported)
-    if rest and not open.is_truncated and is_good(newest, payload_of(newest, all)) then
-      index, chosen, zeros = #messages, all, rest
-    end
-    while index < #messages and not (fits or open.is_truncated or chosen) do
-      index, self.tries = index + 1, 0
-      chosen, zeros = choose(self, messages[index], frames_since(open, messages[index]), open.has_others)
+    local function try(i, may_skip)
+      if fits or chosen or open.is_truncated then return end
+      index, self.tries = i, 0
+      chosen, zeros = choose(self, messages[i], frames_since(open, messages[i]), may_skip)
       open.is_unsure = open.is_unsure or self.tries > MAX_TRIES
     end
+    try(#messages, false) -- all frames since the newest Start
+    for i = 1, open.has_others and #messages or 0 do try(i, true) end
     local ends = 0
     for _, one in ipairs(open.frames) do ends = ends + (one.is_end and 1 or 0) end
     if chosen then

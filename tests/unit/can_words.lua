@@ -31,7 +31,8 @@ local KIND = { L = 0, S = 1, M = 2, E = 3, X = 9 }
 function M.new(options)
   options = options or {}
   local sources = {}
-  local made = reassembly.new(options.can_judge or function() return true end, function() end)
+  local capture = { is_time_real = function() return not options.is_untimed end }
+  local made = reassembly.new(capture, function() end)
   made.max_open = options.max_open or made.max_open
   return {
     reassembly = made,

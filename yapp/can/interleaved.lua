@@ -32,7 +32,8 @@ function M.new(fields, message, has_others)
     frames = {}, -- { key, data, is_end, is_repeated, from = number of bytes before it }
     bytes = 0, -- of the frames
     end_count = 0, -- of the frames: how many are Ends
-    steps = 0, -- that the search may still take
+    steps = 0, -- that the search may still take; may_skip, see find_frames
+    may_skip = false,
   }, Group)
   for i, data in ipairs(message.chunks) do self:add_frame(message[i + 1], data, false) end
   message.chunks = nil
@@ -74,17 +75,14 @@ end
 -- returns  the message, the frames between its Start and the next one that is open, and the number
 --          of their bytes
 function Group:remove_oldest()
-  local message, own, rest, received = table.remove(self.messages, 1), {}, {}, 0
+  local message, own, rest, bytes = table.remove(self.messages, 1), {}, {}, self.bytes
   local next_key = self.messages[1] and self.messages[1][1] or math.huge
   for _, frame in ipairs(self.frames) do
-    if frame.key < next_key then
-      own[#own + 1], received = frame, received + #frame.data
-    else
-      rest[#rest + 1] = frame
-    end
+    local list = frame.key < next_key and own or rest
+    list[#list + 1] = frame
   end
   set_frames(self, rest)
-  return message, own, received
+  return message, own, bytes - self.bytes
 end
 
 -- Search depth first for frames that, with the newest one, are the rest of a message.
@@ -112,7 +110,7 @@ local function search(self, message, taken, first, register, needed)
     end
     if padding then return padding end
     taken[depth] = nil
-    if not (self.has_others or frame.is_repeated) then return nil end
+    if not (self.may_skip or frame.is_repeated) then return nil end
   end
 end
 
@@ -133,20 +131,16 @@ local function remove_good(self, index, taken)
   return front
 end
 
--- Return the frames since the Start of a message if all of them are the rest of it, and the bytes
--- of padding; else nil.
--- first  index of the first of them
-local function take_all(self, message, first)
-  local frames, taken, chunks = self.frames, {}, {}
-  for i = first, #frames do
-    local count = #taken + 1
-    taken[count], chunks[count] = frames[i], frames[i].data
-  end
-  local payload, last = table.concat(chunks), chunks[#chunks]
-  local padding = can_id.padding(last, #last, message.size - #payload + #last)
-  if not padding then return nil end
-  local sum = can_id.crc(self.fields, payload:sub(1, message.size), message.reserved)
-  if sum == message.crc then return taken, padding end
+-- Search for the frames of a message.
+-- may_skip  false if frames may be left out only where they came twice
+-- returns   the frames and the bytes of padding; nil if no frames fit
+local function find_frames(self, message, may_skip)
+  local taken, first = {}, 1
+  while self.frames[first].key < message[1] do first = first + 1 end
+  self.steps, self.may_skip = MAX_STEPS, may_skip
+  local seed = can_id.seed(self.fields, message.size, message.reserved)
+  local padding = search(self, message, taken, first, seed, message.size)
+  if padding then return taken, padding end
 end
 
 --- Find the message that the newest frame, an End, completes: the newest one with all frames since
@@ -154,24 +148,16 @@ end
 -- returns  the message, its frames, the bytes of padding, and the frames that no message can have
 --          any more; nil if the End completes none
 function Group:complete()
-  local messages, frames = self.messages, self.frames
-  local count = #messages
-  for attempt = 0, count do
-    local index = attempt == 0 and count or attempt
-    local message, taken, first, padding = messages[index], {}, 1
-    while frames[first].key < message[1] do first = first + 1 end
-    if attempt == 0 then
-      taken, padding = take_all(self, message, first)
-    else
-      self.steps = MAX_STEPS
-      local seed = can_id.seed(self.fields, message.size, message.reserved)
-      padding = search(self, message, taken, first, seed, message.size)
-    end
-    if padding then
-      for i = 1, index - 1 do messages[i].is_overtaken = true end
-      return message, taken, padding, remove_good(self, index, taken)
-    end
+  local messages = self.messages
+  local index = #messages
+  local taken, padding = find_frames(self, messages[index], false)
+  for i = 1, self.has_others and not taken and #messages or 0 do
+    if not taken then index, taken, padding = i, find_frames(self, messages[i], true) end
   end
+  if not taken then return nil end
+  local message = messages[index]
+  for i = 1, index - 1 do messages[i].is_overtaken = true end
+  return message, taken, padding, remove_good(self, index, taken)
 end
 
 return M

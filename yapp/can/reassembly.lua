@@ -47,11 +47,11 @@ local Reassembly = {}
 Reassembly.__index = Reassembly
 
 --- Make the reassembly of one capture.
--- can_judge  function(time) -> true if time stamps tell copies from originals
--- on_unknown function(id, seq), called at each Start of an ID that has no message type
-function M.new(can_judge, on_unknown)
+-- capture     a capture.capture, asked whether a time is real
+-- on_unknown  function(id, seq), called at each Start of an ID that has no message type
+function M.new(capture, on_unknown)
   return setmetatable({
-    can_judge = can_judge,
+    capture = capture,
     on_unknown = on_unknown,
     max_open = MAX_OPEN, -- slots that may be open at once
     open = {}, -- [slot] = the message that is open there, or can.interleaved of several
@@ -145,7 +145,7 @@ end
 
 -- Return whether a frame came so soon before or after another one that it may be its copy.
 local function is_near(self, time, other_time)
-  return math.abs(time - other_time) < MAX_DISTANCE and self.can_judge(time)
+  return math.abs(time - other_time) < MAX_DISTANCE and self.capture:is_time_real(time)
 end
 
 -- Assign frames of a group to a message.  Until then, they seemed to be of the newest one when they
@@ -319,14 +319,13 @@ local function add_start(self, frame)
     time = frame.time,
     size = size,
     crc = sum,
-    chunks = { nil, nil, nil, nil, received = 0, is_truncated = false },
+    chunks = not group and { nil, nil, nil, nil, received = 0, is_truncated = false } or nil,
     status = nil,
     payload = nil,
   }
   if reserved ~= 0 then message.reserved = reserved end
   if group then
     table.insert(group.messages, message)
-    message.chunks = nil
     return "fragment", message
   end
   if self.open_count >= self.max_open then give_up_all(self) end

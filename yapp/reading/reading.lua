@@ -54,8 +54,7 @@ end
 function Reading:reset(options)
   self.history, self.copies = history.new(options), copies.new(self.buses)
   -- CAN:
-  local function can_judge(time) return self.buses:is_time_real(time) end
-  self.reassembly = reassembly.new(can_judge, self.on_unknown)
+  self.reassembly = reassembly.new(self.buses, self.on_unknown)
   self.sources = memo(function(bus) -- [bus or false][ID] = a source
     return memo(function(id) return self.types:new_source(id, bus, self.buses:name(bus)) end)
   end)
