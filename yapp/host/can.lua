@@ -163,6 +163,7 @@ function Dissector:dissect_any(tvb, pinfo, tree)
     return length
   end
   if not is_unknown or reported == 0 then return 0 end
+  self.wants:ask(tree, pinfo, pinfo.visited) -- now: a tap has no tree
   if not (length_of(tvb) > 0 and headers:remember(tvb, pinfo, true, nil, true)) then
     self.view:show_without_id(pinfo, tree)
   end
