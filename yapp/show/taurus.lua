@@ -293,8 +293,9 @@ local function add_values(message, plan, top)
     if item.index then raw = raw[item.index] end
     local value = value_of(item, raw)
     if value then
-      value = step.shape:format(value) + 0 -- adding 0 makes -0 a 0
-      append_unit(set_generated(add(top, step.pf, value)), step.unit)
+      local number = step.shape:format(value) + 0 -- adding 0 makes -0 a 0
+      local label = item.title .. ": " .. step.shape:format(number)
+      append_unit(set_generated(add(top, step.pf, number, label)), step.unit)
     end
   end
 end
