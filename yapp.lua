@@ -11,8 +11,8 @@ local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 -- loads.
 local loaded = package.loaded["yapp.plugin"]
 if loaded then
-  local text = "yapp: %syapp.lua (%s) is not loaded: %s (%s) is already there"
-  if loaded.version ~= VERSION then text = text .. "; remove or update one of the two" end
+  local text = "yapp: %syapp.lua (%s) is not loaded: %s (%s) is already there; remove or update " ..
+    "one of the two"
   io.stderr:write(text:format(here, VERSION, loaded.path, loaded.version), "\n")
   return loaded
 end

@@ -175,7 +175,7 @@ function T.test_options_of_serial_lines()
     [""] = { CAN, ETHERNET, EXPORTED, SLL2 },
     ["-o yapp.user_dlt:147"] = { 147, CAN },
     ["-d rtacser.data,yapp_serial"] = { RTAC },
-    ["-o yapp.user_dlt:147,149,162 -d rtacser.data,yapp_serial"] = { 162, RTAC, 147, CAN, 149 },
+    ["-o yapp.user_dlt:162"] = { ETHERNET, 162, RTAC },
   } do
     local found = read(pcapng(linktypes, { { 0, "x" } }, le))
     lu.assertEquals(table.concat(found:serial_options(), " "), wanted)
@@ -482,12 +482,12 @@ function T.test_packets_that_were_dropped()
       { one .. packet(0, "x", number, 0, drop_option(0, number)), {} },
       { two .. packet(2, "x", number) .. packet(2, "yy", number, 1e6, drop_option(1, number)) ..
         packet(1, "z", number, 0, drop_option(2 ^ 33, number)),
-        { "1.0 2 if2 1", "0.0 3 - 8589934592" } },
+        { "1.0 2 - 1", "0.0 3 - 8589934592" } },
       { one .. packet(0, "x", number) .. statistics(0, number, counted), { "- - can0 7" } },
       -- the numbers grow from one block to the next; what packets account for is there already
-      { one .. statistics(0, number, counted) .. packet(0, "x", number, 0, drop_option(4, number)) ..
+      { one .. packet(0, "x", number, 0, drop_option(4, number)) .. statistics(0, number, counted) ..
         statistics(0, number, option(5, number(9, 8), number)),
-        { "0.0 1 can0 4", "- - can0 5" } },
+        { "0.0 1 can0 4", "- - can0 3", "- - can0 2" } },
       -- what the operating system dropped
       { one .. statistics(0, number, option(7, number(6, 8), number)), { "- - can0 6" } },
       { one .. statistics(3, number, counted), {} }, -- no such interface

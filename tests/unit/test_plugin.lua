@@ -185,8 +185,9 @@ function T.test_a_second_copy()
   load()
   local first = package.loaded["yapp.plugin"]
   lu.assertIs(dofile("yapp.lua"), first)
-  lu.assertEquals(seen.stderr, { ("yapp: ./yapp.lua (%s) is not loaded: ./yapp.lua (%s) is already there\n"):format(
-    first.version, first.version) })
+  local text = "yapp: ./yapp.lua (%s) is not loaded: ./yapp.lua (%s) is already there; remove or " ..
+    "update one of the two\n"
+  lu.assertEquals(seen.stderr, { text:format(first.version, first.version) })
   first.version = "0.1"
   dofile("yapp.lua")
   lu.assertStrContains(seen.stderr[2], "(0.1) is already there; remove or update one of the two\n")

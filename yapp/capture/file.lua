@@ -140,8 +140,7 @@ local function add_interface(self, linktype, name)
     shift = 0, -- seconds to add to its times
     buses = {}, -- by index
     stamp = nil, -- that of its first packet
-    dropped = 0, -- packets, as the statistics say
-    accounted = 0, -- dropped packets, as options of packets say
+    accounted = 0, -- dropped packets that are among the drops
   }
   self.interfaces[#self.interfaces + 1] = interface
   local index = INDEX_OF[linktype]
@@ -170,16 +169,13 @@ end
 -- per_second  number of units in a second
 -- returns     { seconds, nanoseconds }
 local function exact_time(high, low, per_second)
-  local seconds, rest = 0, 0
-  for _, half in ipairs { high, low } do
-    for _, digit in ipairs { floor(half / 0x10000), half % 0x10000 } do
-      rest = rest * 0x10000 + digit
-      seconds = seconds * 0x10000 + floor(rest / per_second)
-      rest = rest % per_second
-    end
-  end
+  local whole = high * 2 ^ 32
+  local rest = math.fmod(whole, per_second) -- exact, which % is not in Lua 5.2
+  local units = (rest + low) % per_second
+  local seconds = (whole - rest) / per_second + floor((rest + low) / per_second)
   local is_fine = per_second > 1e9
-  return { seconds, floor(is_fine and rest / (per_second / 1e9) or rest * (1e9 / per_second)) }
+  local nanoseconds = is_fine and units / (per_second / 1e9) or units * (1e9 / per_second)
+  return { floor(seconds), floor(nanoseconds) }
 end
 
 -- pcapng ------------------------------------------------------------------------------------------
@@ -216,13 +212,13 @@ local function read_interface(self, window, offset, length)
   interface.shift = window:value(options[14] or "")
 end
 
--- Add the packets that were dropped in front of the latest one.
--- seconds  since 1970 at which that was captured
-local function add_drops(self, interface, seconds, count)
-  if count == 0 then return end
+-- Add packets of an interface that were dropped.
+-- seconds, number  of the packet behind the loss; nil where nothing tells it
+local function add_drops(self, interface, count, seconds, number)
+  if count <= 0 then return end
   interface.accounted = interface.accounted + count
   self.drops[#self.drops + 1] =
-    { time = seconds, frame = self.count, interface = interface, count = count }
+    { time = seconds, frame = number, bus = interface.name, count = count }
 end
 
 -- Read the bus of the latest packet, and the packets that were dropped in front of it.
@@ -231,7 +227,7 @@ local function read_facts(self, window, offset, length, interface, seconds, capt
   local options, data = {}, offset + 28
   if is_serial or window.may_have_drops then
     options = read_options(window, data + captured + -captured % 4, offset + length - 4)
-    add_drops(self, interface, seconds, window:value(options[4] or ""))
+    add_drops(self, interface, window:value(options[4] or ""), seconds, self.count)
   end
   if is_serial and not self.has_serial_frames then
     self.has_serial_frames = has_header(window:bytes(data, length))
@@ -258,21 +254,13 @@ local function read_packet(self, window, offset, length, number)
   read_facts(self, window, offset, length, interface, seconds, captured)
 end
 
--- A simple block has a packet of the section's first interface, without a time.
-local function read_simple_packet(self, window, offset)
-  self.count, self.lacks_times = self.count + 1, true
-  local interface = self.interfaces[self.first_interface + 1]
-  if not interface then return true end
-  if self.keeps then keep_bus(self, window, interface, offset + 12, 0, 0) end
-end
-
 -- Read how many packets an interface, or its operating system, dropped so far.
 local function read_statistics(self, window, offset, length, number)
   local interface = self.interfaces[self.first_interface + number + 1]
   if not interface then return end
   local options = read_options(window, offset + 20, offset + length - 4)
   local own, by_system = window:value(options[5] or ""), window:value(options[7] or "")
-  interface.dropped = max(interface.dropped, own, by_system)
+  add_drops(self, interface, max(own, by_system) - interface.accounted)
 end
 
 -- A block that Wireshark gives a frame number, too.  If it is the first one, Wireshark counts no
@@ -280,7 +268,15 @@ end
 local function count_packet(self)
   self.count = self.count + 1
   self.bus_by_number[self.count] = 0
-  if self.count == 1 then self.lacks_times = true end
+  self.lacks_times = self.lacks_times or self.count == 1
+end
+
+-- A simple block has a packet of the section's first interface, without a time.
+local function read_simple_packet(self, window, offset)
+  count_packet(self)
+  self.lacks_times = true
+  local interface = self.interfaces[self.first_interface + 1]
+  if interface and self.keeps then keep_bus(self, window, interface, offset + 12, 0, 0) end
 end
 
 local BLOCKS = {
@@ -353,19 +349,6 @@ local FORMATS = {
 
 -- The facts of a file -----------------------------------------------------------------------------
 
--- Complete the list of drops: add drops that only statistics say, and set the names of buses.
-local function complete_drops(self)
-  local drops = self.drops
-  for _, interface in ipairs(self.interfaces) do
-    local rest = interface.dropped - interface.accounted
-    if rest > 0 then drops[#drops + 1] = { interface = interface, count = rest } end
-  end
-  for _, drop in ipairs(drops) do
-    local interface = drop.interface
-    drop.bus = self.has_several and self:name(interface.buses[0]) or interface.name
-  end
-end
-
 -- Set the facts that are known once all packets have been read.
 local function conclude(self, has_frame, is_pcapng)
   local has_packets, may_carry_yapp = self.has_packets or self.count > 0, self.yapp_interfaces > 0
@@ -373,7 +356,6 @@ local function conclude(self, has_frame, is_pcapng)
   self.may_add_buses = may_carry_yapp and (is_pcapng or self.keeps)
   self.has_several = #self.buses > 1 or self.is_live and self.has_indexes
   self.may_have_frames = has_frame or not has_packets
-  complete_drops(self)
 end
 
 local function new_file()
@@ -437,15 +419,12 @@ end
 
 --- Return the options of tshark that may decode YAPP in the file's serial lines: a list.
 function File:serial_options()
-  local user, list = {}, {}
   for _, interface in ipairs(self.interfaces) do
     local linktype = interface.linktype
-    if linktype >= 147 and linktype <= 162 then user[#user + 1] = linktype end
-    if linktype == RTAC then list[1] = "-d rtacser.data,yapp_serial" end
+    if linktype == RTAC then return { "-d rtacser.data,yapp_serial" } end
+    if linktype >= 147 and linktype <= 162 then return { "-o yapp.user_dlt:" .. linktype } end
   end
-  table.sort(user)
-  if user[1] then table.insert(list, 1, "-o yapp.user_dlt:" .. table.concat(user, ",")) end
-  return list
+  return {}
 end
 
 --- Return a function(number, pinfo), which finds the bus of each packet in their order.  It returns
