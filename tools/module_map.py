@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""make map: the folders of modules and which of them require which, as CONTRIBUTING.md shows it."""
+"""make map: the folders of modules and which of them require which, as CONTRIBUTING.md shows it; with --write, into that page."""
 import pathlib
 import re
+import sys
 
 TOP = pathlib.Path(__file__).resolve().parent.parent
 
@@ -45,3 +46,6 @@ def text(top=TOP):
 
 if __name__ == "__main__":
     print(text(), end="")
+    if "--write" in sys.argv:
+        page = TOP / "CONTRIBUTING.md"
+        page.write_text(re.sub(r"(?m)^    yapp\.lua .*\n(?:    .*\n)*", lambda _: text(), page.read_text(), count=1))
