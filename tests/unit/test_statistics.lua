@@ -10,7 +10,6 @@ local kinds_of = require("yapp.stat.kinds")
 local events_of = require("yapp.stat.events")
 local measures_of = require("yapp.stat.rules")
 local options_of = require("yapp.stat.options")
-local output = require("yapp.stat.output")
 local run_of = require("yapp.stat.run")
 local sources_of = require("yapp.message.sources")
 local faults_of = require("yapp.message.faults")
@@ -1039,10 +1038,6 @@ function T.test_messages_that_their_gaps_have_room_for()
       record(2, time, { source = source, payload = "\0" }) }, { catalogue = own })
     lu.assertEquals(texts[#texts], expected)
   end
-end
-
-function T.test_a_value_that_is_no_number_is_called_reserved()
-  lu.assertEquals({ output.text(0 / 0), output.text(-(0 / 0)) }, { "reserved", "reserved" })
 end
 
 function T.test_sizes_that_no_preference_decodes()

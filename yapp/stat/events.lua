@@ -136,7 +136,7 @@ function M.new(settings, hand_on)
     hand_on = hand_on,
     states = states, -- in the order in which they came
     by_source = memo(new_state, states),
-    doubtful = {}, -- events that a `shared` behind them may explain, { event, frame, state } each
+    doubtful = {}, -- events that a `shared` behind them may explain, { event, shown_in } each
     has_messages = false, -- true if an event of an ID came
     undissected = {}, -- events of frames that are messages if other messages came
   }, Events)

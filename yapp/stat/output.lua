@@ -75,12 +75,10 @@ function M.seconds(value)
   }
 end
 
---- Return the text of a value for people: of a fraction six digits, in a window five.  NaN stands
--- for a reserved value.
+--- Return the text of a value for people: of a fraction six digits, in a window five.
 -- is_short  true if in a window
 function M.text(value, is_short)
   if type(value) == "table" then value = is_short and value.short or value.text end
-  if value ~= value then return "reserved" end
   if type(value) == "number" then
     return format(is_integer(value) and "%d" or is_short and "%.5g" or "%.6g", value)
   end

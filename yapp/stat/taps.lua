@@ -241,8 +241,7 @@ end
 local function begin_argument(self, text)
   if not self.current then
     open(self)
-    local tap = Listener.new("frame") -- for the end alone: tap_packets may remove its own
-    function tap.draw() conclude(self) end
+    self.taps[1].draw = function() conclude(self) end
   end
   begin_statistic(self, text, { out = function(chunk)
     local ok, problem = io.stdout:write(chunk)
