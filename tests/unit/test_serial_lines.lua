@@ -55,7 +55,7 @@ function T.test_serial_lines_and_dumps()
   lu.assertTrue(self:of(UDP, "", 0, "", 0).is_complete)
   lu.assertEquals(self:source(first).bus, "if1") -- of bytes of no frame
   lu.assertIs(self:source(first, 0x210).skipped, self:source(first))
-  local adapter = self:of_adapter { name = "usb1.6.1#rx", device = "usb1.6" }
+  local adapter = self:of_adapter("usb1.6.1#rx", "usb1.6")
   lu.assertEquals({ adapter.bus, adapter.bus_key, adapter.has_address }, { "usb1.6.1#rx", "usb1.6", true })
 end
 

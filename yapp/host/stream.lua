@@ -243,7 +243,7 @@ end
 function Dissector:dissect_usb(kind, tvb, pinfo, tree)
   local part = length_of(tvb) > 0 and self.usb:read_packet(kind, raw_of(tvb))
   if not part or part.bytes == "" then return end
-  local line = self.reading.lines:of_adapter(part.line)
+  local line = self.reading.lines:of_adapter(part.name, part.device)
   if not (line.conversation.is_found or finds_header(line, part.bytes)) then return end
   local length = part.truncated and #part.bytes + 1 or #part.bytes
   local packet, wants = new_packet(self, line, pinfo, tree, part.offset, part.bytes, length)

@@ -266,8 +266,6 @@ local function new_packet_result(self, packet, contents)
   return {
     results = results,
     pending = contents.pending,
-    is_held = contents.is_held,
-    missing = contents.missing,
     leads_to = contents.leads_to,
     is_unfinished = packet.visited and self.streams:is_unfinished(contents, packet),
   }
@@ -276,7 +274,7 @@ end
 --- Add the next packet of the capture.
 -- packet   see host.stream
 -- returns  { results = list of a result for each frame, and for each stretch of bytes of no frame;
---          pending, is_held, missing, leads_to = see serial.stream; is_unfinished = on a revisit:
+--          pending, leads_to = see serial.stream; is_unfinished = on a revisit:
 --          true if the capture ends before the frame that the pending bytes begin }; false for a
 --          datagram of others in a conversation that was found by content
 function Reading:add_packet(packet)

@@ -210,7 +210,6 @@ local function judge(self, index, is_end)
     return false
   end
   if missing and missing > 0 and not is_end and may_wait(self, candidate) then
-    candidate.to = self.to + missing
     self.open = candidate
     return true
   end
@@ -268,12 +267,8 @@ end
 
 --- Return whether a frame is not final yet: a capture that ends here ends before it.  A part of a
 -- header is none, nor are bytes that are more likely noise.
--- returns  boolean, and the number of bytes to come, nil if all came
-function Framer:open_frame()
-  if self.failed[1] then return true end
-  local open = self.open
-  if open and open.is_plausible then return true, open.to - self.to end
-  return false
+function Framer:has_open_frame()
+  return self.failed[1] ~= nil or self.open and self.open.is_plausible
 end
 
 return M

@@ -97,13 +97,13 @@ function Lines:of(kind, from, port, to, to_port, bus)
 end
 
 --- Return the line of an endpoint of a USB adapter.
--- endpoint  the line of serial.usb
-function Lines:of_adapter(endpoint)
-  local line = self.adapters[endpoint.name]
+-- name, device  of serial.usb
+function Lines:of_adapter(name, device)
+  local line = self.adapters[name]
   if not line then
-    line = new_line(endpoint.name, endpoint.device)
+    line = new_line(name, device)
     line.has_address, line.latest = true, ""
-    self.adapters[endpoint.name] = line
+    self.adapters[name] = line
   end
   return line
 end

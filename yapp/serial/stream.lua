@@ -273,7 +273,6 @@ local function new_contents(packet, findings)
     key = packet.key,
     findings = findings,
     pending = 0,
-    is_held = false,
     is_others = false,
     packet = packet, -- nil once its bytes are added
     overlap = 0,     -- number of its bytes that had come before
@@ -296,11 +295,9 @@ local function add_to_stream(self, stream, contents)
   end
   drop_pieces(stream, framer.from)
   if contents.packet then -- its bytes wait for a missing segment
-    contents.is_held, contents.pending = true, #packet.bytes
+    contents.pending = #packet.bytes
   elseif contents.to > framer.from then
-    local _, missing = framer:open_frame()
     contents.pending = contents.to - math.max(contents.from, framer.from)
-    contents.missing = missing
   end
 end
 
@@ -327,9 +324,8 @@ end
 --             of the frame; and offset = in the packet.  If not all its bytes are in this packet:
 --             bytes = string, and packet_keys = of the packets they came in (none of skipped
 --             bytes).  Of telnet: bytes = those without what telnet adds
---   pending   number of bytes at the end that are in no finding yet
---   is_held   true if it is a segment that waits for a missing one: then all are pending
---   missing   number of bytes to come of the frame that the pending ones begin, or nil
+--   pending   number of bytes at the end that are in no finding yet; of a segment that waits for a
+--             missing one, all
 --   is_others true if it is a datagram of others: no other field of it holds
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
 function Streams:add(packet, is_stored)
@@ -371,7 +367,7 @@ end
 function Streams:is_unfinished(contents, packet)
   if contents.pending == 0 or contents.leads_to then return false end
   local stream = self.by_line[packet.line]
-  return stream.latest.key == packet.key and stream.framer:open_frame()
+  return stream.latest.key == packet.key and stream.framer:has_open_frame()
 end
 
 -- List the bytes that wait in a stream: its pending ones, and the segments behind each gap.

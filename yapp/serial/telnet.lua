@@ -8,7 +8,6 @@ local byte, find, sub = string.byte, string.find, string.sub
 
 local IAC = "\255" -- begins a command
 local SUBNEGOTIATION, SUBNEGOTIATION_END = 250, IAC .. "\240" -- commands; others above have 3 bytes
-local MAX_SUBNEGOTIATION = 64 -- bytes: a damaged byte may begin one that does not end
 
 --- A byte 0xFF of the line.
 M.TWICE = IAC .. IAC
@@ -19,10 +18,9 @@ local function find_end(bytes, index)
   if not command then return nil end
   if command == SUBNEGOTIATION then
     local _, last = find(bytes, SUBNEGOTIATION_END, index + 2, true)
-    if last and last - index < MAX_SUBNEGOTIATION then return last + 1 end
-    if #bytes - index < MAX_SUBNEGOTIATION then return nil end
+    return last and last + 1
   end
-  local stop = index + (command >= SUBNEGOTIATION and command < 255 and 3 or 2)
+  local stop = index + (command > SUBNEGOTIATION and command < 255 and 3 or 2)
   return stop <= #bytes + 1 and stop or nil
 end
 

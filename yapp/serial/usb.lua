@@ -73,7 +73,7 @@ Usb.__index = Usb
 --- Make the facts of a capture's devices.
 function M.new()
   return setmetatable({
-    devices = {}, -- by bus and address
+    is_plain = {}, -- by device: true if its data has no status
   }, Usb)
 end
 
@@ -86,11 +86,11 @@ end
 
 -- Return the size of the packets with a status in front, nil if the data is as on the line.  All
 -- that an adapter with a status sends begins with one.
-local function status_size(device, endpoint, data)
-  if endpoint < 0x80 then return nil end
+local function status_size(self, device, endpoint, data)
+  if endpoint < 0x80 or self.is_plain[device] then return nil end
   local size = size_by_status(data)
-  device.has_status = device.has_status and size ~= nil
-  return device.has_status and size or nil
+  self.is_plain[device] = size == nil
+  return size
 end
 
 -- Return data without the status in front of each packet.
@@ -102,36 +102,12 @@ local function without_status(data, size)
   return table.concat(parts)
 end
 
--- Return the device of a packet, which may be new.
-local function device_of(self, header)
-  local number = header.bus * 0x10000 + header.device
-  local device = self.devices[number]
-  if not device then
-    local name = ("usb%d.%d"):format(header.bus, header.device)
-    device = { name = name, has_status = true, lines = {} }
-    self.devices[number] = device
-  end
-  return device
-end
-
--- Return the line of an endpoint, see Usb:read_packet.
-local function line_of(device, endpoint)
-  local line = device.lines[endpoint]
-  if not line then
-    local name = ("%s.%d"):format(device.name, endpoint % 0x80)
-    line = { name = name .. (endpoint >= 0x80 and "#rx" or "#tx"), device = device.name }
-    device.lines[endpoint] = line
-  end
-  return line
-end
-
 --- Read a packet.
 -- kind   of HEADERS: "usbmon", "usbmon_mapped", "usbpcap"
 -- bytes  those that were captured
 -- returns  nil if it has no bytes of a line, else {
---   line       {
---     name      usb1.6.1#rx, of endpoint 1; rx is from the adapter to the host
---     device    name of the adapter: usb1.6, of bus 1 and address 6 }
+--   name       of its line: usb1.6.1#rx, of endpoint 1; rx is from the adapter to the host
+--   device     name of the adapter: usb1.6, of bus 1 and address 6
 --   bytes      of the line
 --   offset     of its data in the packet
 --   has_status  true if there is more than the bytes of the line
@@ -140,10 +116,11 @@ function Usb:read_packet(kind, bytes)
   local header = HEADERS[kind](bytes)
   local data = header and header.transfer == BULK and sub(bytes, header.offset + 1)
   if not data or data == "" then return nil end
-  local device = device_of(self, header)
-  local size, length = status_size(device, header.endpoint, data), #data
+  local endpoint, device = header.endpoint, ("usb%d.%d"):format(header.bus, header.device)
+  local size, length = status_size(self, device, endpoint, data), #data
   return {
-    line = line_of(device, header.endpoint),
+    name = ("%s.%d#%s"):format(device, endpoint % 0x80, endpoint >= 0x80 and "rx" or "tx"),
+    device = device,
     bytes = size and without_status(data, size) or data,
     offset = header.offset,
     has_status = size ~= nil,
