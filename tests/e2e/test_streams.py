@@ -111,7 +111,10 @@ def info(packet, event):
             name = faults(event.payload) + name
         return damage + (name if fits(event) or is_longer(event) else f"{name}, {counted(event.payload)}, the catalogue says")
     is_truncated = event.kind == "incomplete" and event is packet.events[-1] and packet.captured < len(packet.data)
-    return f"{damage}ID 0x{event.ident:x}{source}  {counted(event.payload)}{'  [TRUNCATED]' if is_truncated else ENDS[event.kind]}"
+    size = counted(event.payload)
+    if event.kind == "incomplete" and not is_truncated:
+        size = f"{len(event.payload)} of {int.from_bytes(event.data[8:10], 'little')} bytes"
+    return f"{damage}ID 0x{event.ident:x}{source}  {size}{'  [TRUNCATED]' if is_truncated else ENDS[event.kind]}"
 
 
 def label(event):
@@ -145,7 +148,8 @@ def expected(packet):
         if any(event.data[10:12]):
             add(reserved__nonzero="")
         if event.ident not in model.MESSAGES:
-            add(id__unknown="")
+            is_lost = event.kind == "incomplete" and packet.captured == len(packet.data)
+            add(**{} if is_lost else {"id__unknown": ""})
         elif not fits(event):
             add(size__mismatch="")
         is_lost = event.kind == "incomplete" and packet.captured == len(packet.data)

@@ -346,6 +346,7 @@ function Streams:add(packet, is_stored)
     stream.framer:add("", true)
     drop_pieces(stream, stream.framer.from)
     contents.is_others = true
+    self.contents_by_key[packet.key] = nil -- of a packet before it that a read filter dropped
     return contents
   end
   if packet.truncated then add_truncated_loss(self, packet, findings) end
