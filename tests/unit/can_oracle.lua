@@ -114,6 +114,11 @@ local function remove(list, unwanted)
   return rest
 end
 
+-- Of two Starts that are the same, one next to the other, the second message to end is a copy.
+local function mark_twin(message)
+  if message.twin then message.twin.is_copy = true end
+end
+
 -- Give up the oldest message, with the frames before the next Start.
 local function give_up_oldest(open, anomalies)
   local message, own = table.remove(open.messages, 1), {}
@@ -122,6 +127,7 @@ local function give_up_oldest(open, anomalies)
     if not next_one or frame.number < next_one.start then own[#own + 1] = frame end
   end
   open.frames = remove(open.frames, own)
+  mark_twin(message)
   if message.is_copy then return end
   anomalies[#anomalies + 1] = bytes_of(own) > message.size and "fragment.overrun" or
     "fragment.incomplete"
@@ -132,10 +138,7 @@ end
 local function remove_good(self, open, index, chosen, anomalies)
   local message, frames = table.remove(open.messages, index), open.frames
   for i = 1, index - 1 do open.messages[i].is_overtaken = true end
-  for _, other in ipairs(open.messages) do
-    local is_near = math.abs(message.time - other.time) < 0.02
-    if is_near and other.crc == message.crc and other.size == message.size then other.is_copy = true end
-  end
+  mark_twin(message)
   local rest, is_stranger = {}, false
   for _, frame in ipairs(remove(frames, chosen)) do
     if open.messages[1] and frame.number > open.messages[1].start then
@@ -163,6 +166,7 @@ local function end_newest(self, open, anomalies)
   local what = "bad"
   if not zeros then
     what = received > message.size and "overrun" or "incomplete"
+    mark_twin(message)
     if not message.is_copy then anomalies[#anomalies + 1] = "fragment." .. what end
   elseif is_truncated then
     what = "truncated"
@@ -199,8 +203,16 @@ local function take_start(self, slot, frame, id, say)
   if not is_message then return end
   if open then open.has_others = true end
   self.open[slot] = open or { has_others = false, messages = {}, frames = {}, is_truncated = false, is_unsure = false }
-  table.insert(self.open[slot].messages, { id = id.id, seq = id.seq, ctl = id.ctl,
-    crc = number(data, 1, 4), size = size, reserved = reserved, start = frame.number, time = self.time })
+  local messages = self.open[slot].messages
+  local before = messages[#messages]
+  local message = { id = id.id, seq = id.seq, ctl = id.ctl,
+    crc = number(data, 1, 4), size = size, reserved = reserved, start = frame.number, time = self.time,
+    has_frames = false }
+  if before and not before.has_frames and before.crc == message.crc and before.size == size and
+    math.abs(before.time - self.time) < 0.02 then
+    before.twin, message.twin = message, before
+  end
+  table.insert(messages, message)
 end
 
 -- Whether an End came twice: the message before it ended like that.
@@ -223,7 +235,7 @@ local function take_fragment(self, slot, frame, id, say)
   end
   local frames, messages, is_end = open.frames, open.messages, id.ctrl == 3
   local before, newest = frames[#frames], messages[#messages]
-  newest.time = self.time
+  newest.time, newest.has_frames = self.time, true
   frames[#frames + 1] = { number = frame.number, data = frame.data, reported = frame.reported,
     is_end = is_end, is_repeated = before ~= nil and before.data == frame.data }
   open.is_truncated = open.is_truncated or #frame.data < frame.reported

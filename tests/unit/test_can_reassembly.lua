@@ -130,6 +130,8 @@ function T.test_frames_recorded_twice()
     ["S32 S32= M8 M8 M8 E8" .. lost] = "3 good",
     ["S32 S32= M8 M8= M8 M8= M8 M8= E8 E8=" .. lost] = "4 good",
     ["S32 S32= M8 M8= M8 M8 E8" .. lost] = "3 good",
+    ["S32 M8 S32= M8= M8 M8 E8" .. lost] = "3 good, 1 lost", -- the first one had a fragment
+    ["S32! S32!= M8 M8= M8 M8= M8 M8= E8 E8="] = "0 good, 1 lost",
     ["S32 M8 M8 M8 E8 E8?"] = "1 good, 1 lost", -- with other bytes
     ["S32 S32 M8 M8 M8 E8" .. lost] = "3 good, 1 lost",
     ["far S32 M8 M8 M8 E8 E8="] = "1 good, 1 lost",

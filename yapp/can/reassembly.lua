@@ -17,7 +17,9 @@
 --   padding    of CAN FD, nil for 0
 --   received   bytes, of an incomplete or overrun message; calculated = CRC, of a bad one
 --   has_fault  see mark_fault
---   is_overtaken, is_copy  see can.interleaved and mark_copies
+--   twin       the message whose Start is the same and came next to this one's; is_copy = true once
+--              the twin has ended
+--   is_overtaken  see can.interleaved
 
 local can_id = require "yapp.wire.can_id"
 local frame_key = require "yapp.base.frame_key"
@@ -77,9 +79,14 @@ local function add_anomaly(self, expert, text, ...)
   table.insert(self.anomalies, { expert = expert, text = text:format(...) })
 end
 
--- End a message that has more or fewer bytes than its size, or no End.  The copy of a good message
--- is no loss.
+-- A message ends.  If a recorder holds its Start twice, the other one may be lost without a word.
+local function mark_twin(message)
+  if message.twin then message.twin.is_copy = true end
+end
+
+-- End a message that has more or fewer bytes than its size, or no End.
 local function lose(self, message, received)
+  mark_twin(message)
   local status = received > message.size and "overrun" or "incomplete"
   message.status, message.chunks, message.received = status, nil, received
   if message.is_copy then return end
@@ -182,14 +189,6 @@ local function reopen_newest(self, group, slot)
   return message
 end
 
--- Mark the open messages with the same Start as a good one: a recorder holds that twice.
-local function mark_copies(self, message, others)
-  for _, other in ipairs(others) do
-    local is_same = other.crc == message.crc and other.size == message.size
-    if is_same and is_near(self, message.time, other.time) then other.is_copy = true end
-  end
-end
-
 -- Report the frames that no message can have any more: frames that came twice, or strangers.
 -- message  the good message among whose frames they came
 local function report_rest(self, frames, message)
@@ -214,7 +213,7 @@ local function complete(self, group, frame)
   local chunks = {}
   for i, one in ipairs(frames) do chunks[i] = one.data end
   assign_frames(self, message, frames)
-  mark_copies(self, message, group.messages)
+  mark_twin(message)
   message.time = frame.time
   finish(self, message, frame.can_id, concat(chunks), padding, false)
   report_rest(self, rest, message)
@@ -302,6 +301,14 @@ local function is_plausible(self, frame, size, reserved)
   return is_known or fields.seq == 0 or self.accepted[fields.id]
 end
 
+-- Make two messages twins if a recorder holds their Start twice: the second one came next.
+local function add_twin(self, before, message)
+  local is_same = before.crc == message.crc and before.size == message.size
+  if #before == 1 and is_same and is_near(self, message.time, before.time) then
+    before.twin, message.twin = message, before
+  end
+end
+
 local function add_start(self, frame)
   local sum, size, reserved = can_id.start(frame.data)
   if not is_plausible(self, frame, size, reserved) then return nil end
@@ -325,6 +332,7 @@ local function add_start(self, frame)
   }
   if reserved ~= 0 then message.reserved = reserved end
   if group then
+    add_twin(self, group.messages[#group.messages], message)
     table.insert(group.messages, message)
     return "fragment", message
   end
