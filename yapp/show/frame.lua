@@ -143,10 +143,7 @@ local SHOW = {
 
 local function add_anomalies(self, result)
   local captured, reported = #result.frame.data, result.frame.reported
-  if captured < reported then
-    local text = "The capture has %d of the frame's %d bytes"
-    self:add_expert("yapp.truncated", text:format(captured, reported))
-  end
+  if captured < reported then self:add_truncated("frame", captured, reported) end
   self:add_anomalies(result.anomalies)
 end
 

@@ -121,9 +121,8 @@ end
 local function show_truncated(self, packet, results)
   local last = results[#results]
   if packet.bytes == "" or last and last.transfer.missing then return end
-  local text = "The capture has %d of the packet's %d bytes"
   self.item = self.tree
-  self:add_expert("yapp.truncated", text:format(#packet.bytes, packet.length))
+  self:add_truncated("packet", #packet.bytes, packet.length)
 end
 
 -- Return the first message of a packet that has values, or nil.

@@ -103,6 +103,13 @@ function View:add_expert(name, text)
   show_fields.add_expert(self.item, name, text)
 end
 
+--- Add the expert item of a truncated frame or packet.
+-- what  it is called
+function View:add_truncated(what, captured, length)
+  local text = "The capture has %d of the %s's %d bytes"
+  self:add_expert("yapp.truncated", text:format(captured, what, length))
+end
+
 --- Add the expert items of anomalies.
 -- anomalies  of a result, or false
 function View:add_anomalies(anomalies)
