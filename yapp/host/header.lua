@@ -137,7 +137,7 @@ end
 -- accepts_all  true if the user says that every extended frame is YAPP
 -- returns      true if it waits
 function Headers:remember(tvb, pinfo, is_ours, id, accepts_all)
-  local may_wait = self.is_open and (self.defers or not is_ours)
+  local may_wait = self.is_open and (self.defers or not id) -- without an id nothing else reads it
   if not (may_wait and is_record(tvb, pinfo)) then return false end
   self.waiting = {
     number = pinfo.number,
