@@ -87,6 +87,16 @@ def test_names_of_controllers(how):
     assert found == [["192.168.1.11 0x210"], ["right"], ["192.168.1.13 0x210"]]
 
 
+@levels.by_version
+@PASSES
+def test_an_address_is_a_number(folder, passes):
+    """Whatever name resolution does."""
+    (folder / "hosts").write_text("192.168.1.12 motor-two\n")
+    arguments = ["-H", folder / "hosts", "-N", "n", "-o", "yapp.sources:192.168.1.12/0x210=motor:right", *passes]
+    found = tshark.fields(CASES / "udp_three_controllers.pcap", ["yapp.bus", "yapp.source"], "-c", "2", *arguments)
+    assert found == [["192.168.1.11", "192.168.1.11 0x210"], ["192.168.1.12", "right"]]
+
+
 @PASSES
 def test_controllers_behind_one_address(folder, passes):
     """They are one source, which is said, unless the user names their ports."""
