@@ -116,7 +116,6 @@ end
 -- what   it is: "flag 2", "type uint8"
 -- count  how many values without a name it has; the last one is its title
 local function check_row(row, what, options, count)
-  demand(type(row) == "table", "%s: %s is not { name, ..., title }", what, shown(row))
   demand(input.is_name(row[1]), "%s: %s is not a filter name (a-z, 0-9, _)", what, shown(row[1]))
   demand(is_text(row[count]), "%s: %s has no title", what, row[1])
   check_options(row, what, options, count)
@@ -309,7 +308,6 @@ end
 
 -- Compile an entry and add it to the catalogue.
 local function add_message(catalogue, entry, reserved, context)
-  demand(type(entry) == "table", "a message is a table, not %s", shown(entry))
   demand(input.is_name(entry.name), "name %s is not a filter name (a-z, 0-9, _)", shown(entry.name))
   context.message = entry.name
   demand(not input.find(catalogue.messages, entry.name), "the name is there twice")

@@ -21,7 +21,6 @@ local KINDS = field_kinds.BY_NAME
 -- A text is written in pieces, each {
 --   before  text before the value
 --   index   of the field; nil for a value that is worked out from all raw values
---   field
 --   write   function(raw) -> text; where index is nil, it takes all raw values
 --   absent  the text of a missing field
 --   number, shape  of a compressed float: function(raw) -> its value, nil for a reserved one; and
@@ -84,18 +83,15 @@ local function info_piece(message_type, before, name, rest)
   local field = message_type.by_name[name]
   input.demand(field, "info names a field %s that is not there", input.shown(name))
   local shape, unit = rest:match("^:?(%S*)(.*)$")
-  input.demand(unit == "" or unit == " unit" and field.unit, "info: %s has no unit", name)
-  local is_real = field.special or field.scale
-  input.demand(shape == "" or is_real and shape:find("^%%%.?%d?[fg]$"),
-    "info: the format %s is not one for %s", input.shown(shape), name)
-  if shape == "" then shape = is_real and "%.4g" end
+  if shape == "" then shape = "%.4g" end
+  format(shape, 0.5) -- raises an error in it
+  local has_fraction = field.special or field.scale
   return {
     before = before,
-    field = field,
     index = field.index,
     number = field.number,
     shape = field.number and shape,
-    write = info_writer(field, shape),
+    write = info_writer(field, has_fraction and shape),
     absent = "-",
   }, unit ~= "" and " " .. field.unit or ""
 end
@@ -236,7 +232,6 @@ local row_writers = memo(function(message_type)
   for i, field in ipairs(fields_of(message_type)) do
     pieces[i] = {
       before = i > 1 and "," or "",
-      field = field,
       index = field.index,
       number = field.number,
       shape = field.number and field.shape .. ",",
