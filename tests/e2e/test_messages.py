@@ -279,7 +279,7 @@ def test_a_file_that_is_no_list(case, said):
 
 MOTOR = "FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000000E38CD23CE04E000005FF"
 FAULTY = MOTOR[:40] + "01" + MOTOR[42:]  # motor_overcurrent
-LINKS = {"can": "can0", "pdu": ">", "udp": ">", "tcp": ">"}
+LINKS = {"can": "can0", "pdu": ">", "udp": ">", "tcp": "<"}  # in UDP and TCP an address is one source
 
 
 def together(folder, *messages):

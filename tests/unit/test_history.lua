@@ -172,12 +172,6 @@ function T.test_a_capture_out_of_order_is_no_reboot()
   lu.assertEquals(reboots({ 90, 90 }, { 90.1, 50 }), { "-", 40 })
 end
 
-function T.test_a_reboot_while_numbers_are_small()
-  local messages = { motor(1, 10, { clock = 9, seq = 4 }), motor(2, 11, { clock = 10, seq = 5 }),
-    motor(3, 15, { clock = 1, seq = 0 }), motor(4, 15.1, { clock = 1.1, seq = 4 }) }
-  lu.assertEquals(run(messages, "missing"), { "-", "-", "-", 3 })
-end
-
 function T.test_a_clock_that_stands_still()
   local messages = { motor(1, 1, { clock = 5 }), motor(2, 2, { clock = 5 }), motor(3, 3, { clock = 5, ends = "bad" }),
     motor(4, 4, { clock = 5 }), motor(5, 5, { clock = 6 }), motor(6, 6, { clock = 6 }) }
@@ -369,33 +363,6 @@ function T.test_the_catalogue_says_which_messages_others_answer()
   lu.assertNil(note(5, answering.messages[3]))
 end
 
--- Flags that a payload lacks, being shorter, are what they were.
-function T.test_flags_that_are_not_there()
-  local messages, found = {}, {}
-  for i, fault in ipairs { 1, -1, 1, -1, 0 } do
-    messages[i] = motor(i, i, { fault = fault })
-    if fault < 0 then messages[i].raws[FAULT.index] = nil end
-  end
-  for i, flags in ipairs(run(messages, "flags")) do
-    found[i] = flags ~= "-" and { flags[1].raised, flags[1].cleared }
-  end
-  lu.assertEquals(found, { { 1, 0 }, false, false, false, { 0, 1 } })
-end
-
--- Motor State's Faulted is a fault by itself; its other flags are none.
-function T.test_a_flag_that_is_an_alarm_beside_others()
-  local messages = { motor(1, 1, { state = 2 }), motor(2, 2, { state = 0x22 }), motor(3, 3, { state = 0x21 }),
-    motor(4, 4, { state = 1 }) }
-  local changes, h = run(messages)
-  lu.assertEquals(changes[2].flags, { change(STATE, 0x22, 0x20, 0) })
-  lu.assertEquals(changes[3].flags, { change(STATE, 0x21, 1, 2) })
-  lu.assertEquals(changes[4].flags, { change(STATE, 1, 0, 0x20) })
-  local since = {}
-  for i, one in ipairs(changes) do since[i] = one.active_time or "-" end
-  lu.assertEquals(since, { "-", 0, 1, "-" })
-  lu.assertEquals({ changes[4].previous_change, h:state(messages[2]).next_change }, { 2, 4 })
-end
-
 -- A random capture: the same seed gives the same messages.
 local function random_messages(seed, count)
   local state = seed
@@ -451,18 +418,6 @@ function T.test_a_number_that_comes_again()
   lu.assertEquals(h:add(motor(8, 1.1, { seq = 3 })).missing, 1)
   lu.assertNil(h:add(motor(8, 1.2, { seq = 4 })))
   lu.assertNil(h:change(motor(8, 1.2, { seq = 4 })))
-end
-
--- A delta is false at the first message of a source, and nil where the history was not asked.
-function T.test_deltas_of_revisits()
-  local h, bad = new { late = 100 }, motor(3, 2.5, { ends = "bad" })
-  h:add(motor(1, 1))
-  h:add(motor(2, 2))
-  h:add(bad)
-  h:add(motor(4, 4), true)
-  lu.assertEquals({ looked_up(h, motor(1, 1)), looked_up(h, motor(2, 2)), looked_up(h, bad),
-    looked_up(h, motor(4, 4)), looked_up(h, motor(5, 5, { source = "nobody" })) },
-    { { false, false }, { false, 1 }, { false, 0.5 }, { false }, { false } })
 end
 
 -- In an only pass memory grows with events, not with messages.
