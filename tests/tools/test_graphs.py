@@ -40,7 +40,7 @@ def test_each_row_on_motor_data_is_there_once_for_each_controller(eight):
         assert [row[title] for row in measured] == [f"RPM measured {one}" for one in named]
         assert len({row[title + 2] for row in measured}) == 8, "a colour for each"
         assert measured[0][title + 1] == r"yapp.source == \x22M1\x22 && !yapp.crc.bad"
-        assert measured[5][title + 1] == r"yapp.bus == \x22can1\x22 && yapp.id == 0x211"
+        assert measured[5][title + 1] == r"yapp.bus == \x22can1\x22 && yapp.id == 0x211 && !yapp.crc.bad"
         rest = [row for row in before if row not in of_motor]
         assert [row for row in rows if row in rest] == rest
 

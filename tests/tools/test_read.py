@@ -33,6 +33,7 @@ def test_a_message_is_a_table_with_the_promised_types(make_capture):
     assert motor.schema.field("revision").type == pa.uint8()
     assert motor.schema.field("rpm_measured").metadata == {
         b"title": b"Measured speed", b"unit": b"RPM", b"filter": b"taurus.motor.rpm",
+        b"role": b"value",
     }  # fmt: skip
 
 

@@ -34,10 +34,12 @@ from .sources import source_name
 
 Record = dict[str, Any]
 LEAST_SECONDS, LEAST_COMMON = 20.0, 0.3  # of a run; share of its samples at loads of both
-CHANCE = 0.02  # that one of all comparisons is called worse by chance
+CHANCE, CHANCE_OF_EVENTS = 0.02, 0.04  # that one of all comparisons is called worse by chance
 # The least change that counts: relative where the unit is a multiple, else in the unit.
 LEAST = {"A": 0.015, "W": 0.015, "°C": 1.5, "%": 2.0, "jitter": 0.3, "rate": 0.02, "lag": 0.02, "share": 0.002}
 LEAST_OF_ALL = 0.02  # of a multiple that all controllers have: it may be the wind
+MANY = 3  # flights of each side, over which wind and weather are even
+ALIKE = "it may be the weather: three flights of each side would tell"
 LAGS = np.arange(-0.2, 1.2, 0.01)
 # Events that are no fault of a controller's, or have a comparison of their own.
 OTHER_EVENTS = ("fault", "unknown", "absent", "clock", "unfinished", "shared")
@@ -276,7 +278,7 @@ def _values(found: Comparison) -> list[Finding]:
         measured += _lag(found, one, other)
         measured += _flags(found, one, other)
     found.compared += [(one.controller, one.title) for one in measured]
-    return list(_judged(measured))
+    return list(_judged(measured, min(len(before.flights), len(after.flights)) >= MANY))
 
 
 def _value(
@@ -429,10 +431,10 @@ def _flags(found: Comparison, one: Samples, other: Samples) -> Iterator[_Measure
             )
 
 
-def _judged(measured: list[_Measured]) -> Iterator[Finding]:
+def _judged(measured: list[_Measured], is_many: bool) -> Iterator[Finding]:
     """Say which changes lie beyond their interval: that of all comparisons together, and the least that counts.
 
-    What all controllers have in common is one finding, or none: of a temperature it may be the weather.
+    What all controllers have in common is one finding. It may be wind and weather: only of many flights it is worse.
     """
     chance = CHANCE / max(1, len(measured))
     groups: dict[tuple[str, str], list[_Measured]] = defaultdict(list)
@@ -450,7 +452,10 @@ def _judged(measured: list[_Measured]) -> Iterator[Finding]:
             whole = Change(middle - cause, error, min(one.change.freedom for one in group))
             typical = group[int(np.argmin(np.abs(values - middle)))]
             bound = LEAST_OF_ALL if typical.is_multiple else LEAST[least]
-            yield from _finding(typical, whole, chance, bound, f"all {len(group)} controllers")
+            for finding in _finding(typical, whole, chance, bound, f"all {len(group)} controllers"):
+                if not is_many:
+                    finding.kind, finding.text = "changed", f"{finding.text}; {ALIKE}"
+                yield finding
         for one in group:
             bound = LEAST_OF_ALL if one.is_multiple and not has_peers and least in ("A", "W") else LEAST[least]
             yield from _finding(one, one.beside or one.change.less(cause), chance, bound, one.controller)
@@ -520,7 +525,7 @@ def _events(found: Comparison) -> Iterator[Finding]:
         clumps = _clumps(sides, seconds)
         more = more_often(few, many, share, clumps)
         less = more_often(many, few, 1 - share, clumps)
-        chance = CHANCE / max(1, len(counts))
+        chance = CHANCE_OF_EVENTS / max(1, len(counts))
         hours = [number / length * 3600 for number, length in zip((few, many), seconds, strict=True)]
         at = tuple({"file": side[0]["file"], "frame": side[0]["frame"], "time": round(side[0]["at"], 3)} if side else {}
                    for side in sides)  # fmt: skip

@@ -52,7 +52,7 @@ class Following:
         if pair is None:
             return None
         when, told = command_of(samples, own)
-        good = np.isfinite(told)
+        is_sent, good = when is not own.times, np.isfinite(told)
         when, told = when[good], told[good]
         if len(told) < 50 or float(np.std(told)) < 1e-9:
             return None
@@ -68,7 +68,7 @@ class Following:
         flights = []
         for number in np.unique(times // APART):
             its = when // APART == number
-            flights.append(_predicted(when[its], told[its]))
+            flights.append(_predicted(when[its], told[its], is_sent))
         return cls(times, own.columns[pair[0]][use], flights, np.unique(times // APART, return_inverse=True)[1])
 
     def squares(self, shape: int, lag: float) -> Array:
@@ -112,13 +112,13 @@ def command_of(samples: Mapping[tuple[str, str], Samples], own: Samples) -> tupl
     return own.times, told
 
 
-def _predicted(when: Array, told: Array) -> tuple[float, Array]:
+def _predicted(when: Array, told: Array, is_sent: bool) -> tuple[float, Array]:
     """Return the begin of a grid and the responses of all SHAPES to a command.
 
-    A command that mostly holds is held between its messages; one that always moves moves between them, too.
+    is_sent: a command is in force from its message on; what a controller says ten times a second moves in between.
     """
     grid = np.arange(when[0], when[-1] + 2, STEP)
-    if float((np.diff(told) == 0).mean()) > 0.5:
+    if is_sent or float((np.diff(told) == 0).mean()) > 0.5:
         command = told[np.maximum(np.searchsorted(when, grid, side="right") - 1, 0)]
     else:
         command = np.interp(grid, when, told)

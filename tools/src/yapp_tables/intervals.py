@@ -61,7 +61,8 @@ def change(times: Array, values: Array, is_after: Array, load: Array | None = No
     inverse = np.linalg.pinv(design.T @ design, hermitian=True)
     weights = inverse @ (design.T @ values)
     rest = values - design @ weights
-    length = BLOCK
+    duration = len(times) * float(np.median(np.diff(times)))
+    length = float(np.clip(duration / 30, BLOCK, 3 * BLOCK))
     while True:
         _, block = np.unique(np.floor(times / length) * 2 + side, return_inverse=True)
         count = np.bincount(block)

@@ -13,7 +13,7 @@ from .series import Array, numbers
 from .sources import natural, split
 
 DEGREES = ("°C", "C", "degC")
-MEMORY = (5.0, 20.0, 80.0, 300.0)  # seconds for which a temperature remembers the load
+MEMORY = (10.0, 40.0, 160.0)  # seconds for which a temperature remembers the load
 RUNNING = 0.1  # of the usual highest speed: below, a motor stands
 APART = 1e6  # seconds between the times of two flights
 
@@ -171,7 +171,8 @@ def _memory(times: Array, power: Array) -> Array:
 def terms(before: Load, after: Load, has_heat: bool) -> tuple[Array, Array]:
     """Return what a value depends on: (n, k) for the samples of both, and which of them are at a load of both, (n).
 
-    Speed to the third power and the supply, as smooth curves; of a temperature what the load was before, too.
+    Speed to the third power; of a temperature what the load was before, too. The supply only sorts into bins: what it
+    does within 5 % is less than what a curve through it would make of noise.
     """
     speed, volts = (np.concatenate([getattr(one, name) for one in (before, after)]) for name in ("speed", "volts"))
     is_after = np.repeat([False, True], [len(before.times), len(after.times)])
@@ -180,9 +181,7 @@ def terms(before: Load, after: Load, has_heat: bool) -> tuple[Array, Array]:
     common = np.append((counts[0] >= 5) & (counts[1] >= 5), [False])
     top = max(float(np.nanmax(speed, initial=1.0)), 1.0)
     x = speed / top
-    middle = float(np.nanmedian(volts)) if np.isfinite(volts).any() else 0.0
-    u = (volts - middle) / max(abs(middle), 1.0)
-    columns = [x, x**2, x**3, u, u * x]
+    columns = [x, x**2, x**3]
     if has_heat:
         heat = np.concatenate([before.heat, after.heat]) / top**2
         columns += list(heat.T)
