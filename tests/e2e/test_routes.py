@@ -1,17 +1,13 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """docs/files.md, "Convert other files": the page's own commands, run on what the other programs write; the log that comes out
 shows what was sent."""
-import random
 import re
 import shutil
-import struct
 import subprocess
 
 import pytest
 
-import can_generator
 import flights
-import levels
 import tshark
 from test_files import DOCUMENT, PYTHON
 from test_recorders import CASES, events, motor_count
@@ -41,71 +37,6 @@ def python_can():
 
 def changes(path):
     return [(event["bus"], event["event"]) for event in events(path) if event["kind"] == "fault"]
-
-
-def logconvert(source, target):
-    subprocess.run([PYTHON, "-m", "can.logconvert", source, target], check=True, capture_output=True)
-
-
-def test_busmaster(folder):
-    """Two channels: Wireshark alone mixes them; the route gives each its bus."""
-    shutil.copy(CASES / "c10_busmaster_two_channels.log", folder / "run.log")
-    assert {"shared", "stale"} & {event["kind"] for event in events(folder / "run.log")}
-    run(folder, *commands("BUSMASTER's log"))
-    found = events(folder / "frames.log")
-    assert motor_count(folder / "frames.log") == 24
-    assert {event["bus"] for event in found} <= {"can1", "can2"} and {event["kind"] for event in found} <= {"fault"}
-    assert [event["event"] for event in found] == ["raised", "cleared"]
-    times = [float(row[0]) for row in tshark.fields(folder / "frames.log", ["frame.time_epoch"])]
-    assert times[0] == 22 * 3600 + 13 * 60 + 20 and times == sorted(times)
-
-
-def test_busmaster_over_midnight(folder):
-    lines = ["***BUSMASTER Ver 3.2.2***", "***HEX***", "23:59:59:9999 Tx 1 0x123 s 2 0A 0B ", "00:00:00:0001 Rx 1 0x0 x 1 0C ",
-             "00:00:01:0000 Rx 2 0x84 xr 4 ", "***[STOP LOGGING SESSION]***"]
-    (folder / "run.log").write_text("\r\n".join(lines), newline="")
-    run(folder, *commands("BUSMASTER's log"))
-    assert (folder / "frames.log").read_text().splitlines() == [
-        "(86399.999900) can1 123#0A0B T", "(86400.000100) can1 00000000#0C R", "(86401.000000) can2 00000084# R"]
-
-
-def test_busmaster_without_0x(folder):
-    """As its converter of BLF writes ids."""
-    text = (CASES / "c10_busmaster_two_channels.log").read_text()
-    assert text.count(" 0x") > 100
-    (folder / "run.log").write_text(text.replace(" 0x", " "))
-    run(folder, *commands("BUSMASTER's log"))
-    assert motor_count(folder / "frames.log") == 24
-
-
-@pytest.mark.parametrize("title, name", [("Text that python-can prints", "c11_pythoncan_printer.txt")])
-def test_text_of_other_tools(folder, title, name):
-    shutil.copy(CASES / name, folder / "run.txt")
-    run(folder, *commands(title))
-    frames = tshark.fields(folder / "run.log", ["can.id", "data.data"])
-    assert len(frames) == 26 and motor_count(folder / "run.log") == 4
-    kinds = {event["kind"] for event in events(folder / "run.log")}
-    assert not kinds & {"dropped", "incomplete", "crc", "unknown", "clock"}
-
-
-@has_python_can
-@pytest.mark.parametrize("name, values", [("motor.log", 2), ("motor_fd.log", 1)])
-def test_printer_of_python_can_itself(folder, name, values):
-    logconvert(tshark.CAPTURES / "other" / name, folder / "run.txt")
-    run(folder, *commands("Text that python-can prints"))
-    assert motor_count(folder / "run.log") == motor_count(tshark.CAPTURES / "other" / name) == values
-
-
-@has_python_can
-@pytest.mark.parametrize("seed", range(1, levels.size(2, 10)))
-def test_printer_of_a_flight(folder, seed):
-    flight = flights.make(seed)
-    log = flight.write(folder / "flight.log", "candump")
-    logconvert(log, folder / "run.txt")
-    run(folder, *commands("Text that python-can prints"))
-    wanted, found = (tshark.fields(path, ["taurus.motor.dc_voltage", "taurus.motor.rpm_measured", "yapp.bus"],
-                                   *flight.arguments("candump")) for path in (log, folder / "run.log"))
-    assert found == wanted and any(row[0] for row in wanted)
 
 
 @has_python_can
