@@ -198,7 +198,8 @@ function M.relative_time(seconds)
   local sign = seconds < 0 and -1 or 1
   local count = math.floor(sign * seconds * 1e9 + 0.5)
   local nanoseconds = count % 1e9
-  return NSTime.new(sign * (count - nanoseconds) / 1e9, sign * nanoseconds)
+  local whole = math.floor((count - nanoseconds) / 1e9 + 0.5) -- a long time is no exact number
+  return NSTime.new(sign * whole, sign * nanoseconds)
 end
 
 return M
