@@ -17,22 +17,35 @@ local SKIPPED = DISSECTOR .. "yapp_skipped" .. UDP
 
 -- Times ------------------------------------------------------------------------------------------
 
-local SECOND = 1000000000 -- nanoseconds
+-- A time is { seconds, nanoseconds = 0 to 999999999 }: 2^63 ns are too many for one number.
+local UNKNOWN = {}
+local ZERO = { 0, 0 }
+local SECOND = 1000000000
 local MAX_CLOCKS = 4 -- of an ID
-local MAX_STEP = SECOND
+local MAX_STEP = 1 -- seconds
 
--- Return the nanoseconds from the first second of a clock to a stamp.  (2^63 ns since 1970 are too
--- many for one number.)
-local function since(clock, stamp)
-  return (stamp[1] - clock.first) * SECOND + stamp[2]
+local function sum(a, b)
+  local seconds, nanoseconds = a[1] + b[1], a[2] + b[2]
+  if nanoseconds >= SECOND then return { seconds + 1, nanoseconds - SECOND } end
+  return { seconds, nanoseconds }
+end
+
+local function difference(a, b)
+  local seconds, nanoseconds = a[1] - b[1], a[2] - b[2]
+  if nanoseconds < 0 then return { seconds - 1, nanoseconds + SECOND } end
+  return { seconds, nanoseconds }
+end
+
+local function is_before(a, b)
+  return a[1] < b[1] or a[1] == b[1] and a[2] < b[2]
 end
 
 -- Return the clock of an ID that goes on with a stamp: the one that advances least.
 local function clock_of(clocks, stamp)
-  local found, least
+  local found
   for _, clock in ipairs(clocks) do
-    local step = since(clock, stamp) - clock.last
-    if step >= 0 and not (found and least <= step) then found, least = clock, step end
+    local may_be = not is_before(stamp, clock.last)
+    if may_be and not (found and is_before(clock.last, found.last)) then found = clock end
   end
   return found
 end
@@ -47,41 +60,38 @@ function Dump:fill(file)
   self.framer:add(bytes, self.is_over, self.findings)
 end
 
--- Return the controller's own time of a frame, nil for none.  The first one begins the dump's time.
+-- Return the controller's own time of a frame, nil for none.
 function Dump:stamp(finding)
   if finding.status ~= "good" then return nil end
   local seconds, nanoseconds = self.time_of(finding.bytes)
-  if not seconds then return nil end
-  if not self.time then self.start, self.time = seconds, nanoseconds end
-  return { seconds, nanoseconds }
+  return seconds and { seconds, nanoseconds }
 end
 
--- Return a new clock for a stamp.  Messages of one controller have one clock.  So use the clock of
--- the latest message if that makes a small step forward; else time goes on from the latest record.
+-- Return how far the time of the dump is ahead of a clock that begins with this stamp.  Messages of
+-- one controller have one clock.  So use the clock of the latest message if that makes a small step
+-- forward; else time goes on from the latest record.
 --   latest record at 102.9 s, its clock 2.9 s: 3.0 s of another ID is 103.0 s, 0.05 s is 102.9 s
-local function new_clock(self, stamp)
-  local latest = self.clock
-  local step = latest and since(latest, stamp) + latest.shift - self.time
-  if step and step >= 0 and step < MAX_STEP then
-    return { first = latest.first, shift = latest.shift, last = 0 }
-  end
-  return { first = stamp[1], shift = self.time - stamp[2], last = 0 }
+local function shift_of(self, stamp)
+  local ahead = difference(sum(stamp, self.shift), self.time)
+  return ahead[1] >= 0 and ahead[1] < MAX_STEP and self.shift or difference(self.time, stamp)
 end
 
 -- Advance the time of the dump by a stamp.  It never goes back: a controller that rebooted has
 -- a new clock, and so has another controller with the same ID.
 -- id  of the message
 local function advance(self, id, stamp)
+  self.time = self.time or stamp
   self.clocks[id] = self.clocks[id] or {}
   local clocks = self.clocks[id]
   local clock = clock_of(clocks, stamp)
   if not clock then
-    clock = new_clock(self, stamp)
+    clock = { shift = shift_of(self, stamp) }
     table.insert(clocks, clock)
     if #clocks > MAX_CLOCKS then table.remove(clocks, 1) end
   end
-  clock.last, self.clock = since(clock, stamp), clock
-  self.time = math.max(self.time, clock.last + clock.shift)
+  clock.last, self.shift = stamp, clock.shift
+  local time = sum(stamp, clock.shift)
+  if is_before(self.time, time) then self.time = time end
 end
 
 --- Open a dump.
@@ -101,13 +111,10 @@ function M.open(file, options, head)
     findings = {}, -- of the file; false once it is a record
     next = 1, -- index of the first one that is no record yet
     is_over = false,
-    start = nil, -- seconds of the first time stamp of the file
-    time = nil, -- of the latest record: nanoseconds since start
-    -- By ID, a list of { first = second of its stamps that counts as 0, last = its latest stamp,
-    -- shift = nanoseconds from its time to the dump's }:
-    clocks = {},
-    clock = nil, -- of the latest message that has one
-    records = {}, -- [offset] = { length = bytes, tags = FRAME or SKIPPED, time as self.time }
+    time = nil, -- of the latest record; before that, the first time stamp of the file
+    clocks = {}, -- by ID: list of { last = stamp, shift = of the dump's time from it }
+    shift = ZERO, -- of the clock of the latest message that has one
+    records = {}, -- [offset] = { length = bytes, tags = FRAME or SKIPPED, time }
   }, Dump)
   local has_frame, index = false, 1
   while not (self.is_over or has_frame and (self.time or self.framer.from >= MAX_AHEAD)) do
@@ -115,7 +122,7 @@ function M.open(file, options, head)
     for i = index, #self.findings do
       local finding = self.findings[i]
       has_frame = has_frame or finding.status == "good"
-      if not self.time then self:stamp(finding) end
+      self.time = self.time or self:stamp(finding)
     end
     index = #self.findings + 1
   end
@@ -145,10 +152,8 @@ function Dump:next_finding(file)
 end
 
 -- Return a record as Wireshark takes it.
-local function packet(self, record, offset, bytes)
-  local time = record.time
-  if not time then return offset, record.tags .. bytes end
-  return offset, record.tags .. bytes, self.start + math.floor(time / SECOND), time % SECOND
+local function packet(record, offset, bytes)
+  return offset, record.tags .. bytes, record.time[1], record.time[2]
 end
 
 --- Read the next record: a frame, or bytes of no frame.
@@ -163,11 +168,11 @@ function Dump:read(file)
   if stamp then advance(self, finding.bytes:sub(ID_FROM, ID_TO), stamp) end
   local record = {
     length = #finding.bytes,
-    time = self.time,
+    time = self.time or UNKNOWN,
     tags = finding.status == "skipped" and SKIPPED or FRAME,
   }
   self.records[finding.from] = record
-  return packet(self, record, finding.from, finding.bytes)
+  return packet(record, finding.from, finding.bytes)
 end
 
 --- Read a record that was read before.
@@ -178,7 +183,7 @@ function Dump:seek_read(file, offset)
   file:seek("set", offset)
   local bytes = file:read(record.length)
   if not bytes then return nil end
-  return packet(self, record, offset, bytes)
+  return packet(record, offset, bytes)
 end
 
 return M
