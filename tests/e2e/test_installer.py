@@ -536,6 +536,13 @@ def test_without_tshark(home):
 DIST = ["yapp-{}.zip", "yapp-profile-{}.zip", "yapp-samples-{}.zip", "yapp_tables-{}-py3-none-any.whl", "SHA256SUMS"]
 
 
+def git(*arguments):
+    """What git says; nothing where there is none."""
+    if not shutil.which("git"):
+        return b""
+    return subprocess.run(["git", "-c", "safe.directory=*", "-C", tshark.ROOT, *arguments], capture_output=True, check=False).stdout
+
+
 def repository(top):
     """A copy of the repository, as git has it, without the tests."""
     names = git("ls-files", "-z", "--cached", "--others", "--exclude-standard").decode().split("\0")[:-1]

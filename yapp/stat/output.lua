@@ -365,7 +365,7 @@ function M.close_files(list, problem)
     local is_aside = file.aside ~= file.path
     if is_aside and problem then
       os.remove(file.aside)
-    elseif is_aside then
+    elseif is_aside and not os.rename(file.aside, file.path) then
       os.remove(file.path) -- on Windows a rename does not replace a file
       note(file, select(2, os.rename(file.aside, file.path)))
     end
