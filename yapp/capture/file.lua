@@ -479,7 +479,8 @@ function File:name(bus, is_ip)
   local one = self.buses[bus or 1]
   if bus then return one and bus_name(self, one) end
   if is_ip then return #self.interfaces == 1 and self.interfaces[1].name or nil end
-  if one and not (self.has_several or self.is_unknown) then return one.interface.name end
+  if not one or self.has_several or self.is_unknown then return nil end
+  return self.is_live and bus_name(self, one) or one.interface.name
 end
 
 return M
