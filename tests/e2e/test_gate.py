@@ -433,7 +433,7 @@ def test_a_damaged_line_of_asc(tmp_path):
         rows = [json.loads(line) for line in done.stdout.splitlines()]
         assert sum(row.get("kind") == "dropped" for row in rows) == dropped
         assert [row["seen"] for row in rows if row.get("rule") == "dropped=0"] == [dropped]
-        assert ("the data bytes do not fit, line skipped" in done.stderr, done.returncode) == (dropped == 1, 20 * dropped)
+        assert ("not understood, counts as a lost packet" in done.stderr, done.returncode) == (dropped == 1, 20 * dropped)
 
 
 def test_a_preference_that_could_not_be_read():

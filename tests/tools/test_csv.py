@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Tables of -z yapp,csv in pandas and polars, read with the types of fields.json: right types, every value the truth's."""
+"""Tables of -z yapp,csv in pandas and polars, read with the types of fields.json: every value the truth's."""
 
 import importlib.util
 import json
@@ -18,7 +18,7 @@ sys.path.append(str(TESTS / "e2e"))
 import model  # noqa: E402
 
 # With the types of fields.json.
-RECIPE = '''\
+RECIPE = """\
 import json, pandas, polars
 
 columns = json.load(open("tables/fields.json"))["messages"]["motor"]["columns"]
@@ -26,7 +26,8 @@ for column in columns:
     if column["bits"] == 64 and column["kind"] != "int":
         column["type"] = "unsigned"  # it does not fit in an Int64
 
-types = {"time": "string", "float": "float64", "integer": "Int64", "unsigned": "UInt64", "bool": "boolean", "string": "string"}
+types = {"time": "string", "float": "float64", "integer": "Int64", "unsigned": "UInt64",
+         "bool": "boolean", "string": "string"}
 motor = pandas.read_csv("tables/motor.csv", keep_default_na=False, na_values=[""],
                         dtype={column["name"]: types[column["type"]] for column in columns})
 motor.index = pandas.to_datetime(motor["time"].str.replace(".", "").astype("int64"), utc=True)
@@ -35,7 +36,7 @@ types = {"time": polars.Decimal(38, 9), "float": polars.Float64, "integer": pola
          "bool": polars.Int8, "string": polars.String}
 motor = polars.read_csv("tables/motor.csv",
                         schema_overrides={column["name"]: types[column["type"]] for column in columns})
-'''
+"""
 SPECIALS = ["nan", "inf", "-inf", "above", "below"]
 
 
