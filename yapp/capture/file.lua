@@ -480,7 +480,7 @@ function File:name(bus, is_ip)
   if bus then return one and bus_name(self, one) end
   if is_ip then return #self.interfaces == 1 and self.interfaces[1].name or nil end
   if not one or self.has_several or self.is_unknown then return nil end
-  return self.is_live and bus_name(self, one) or one.interface.name
+  return self.is_live and one.index ~= 0 and bus_name(self, one) or one.interface.name
 end
 
 return M
