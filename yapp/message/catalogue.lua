@@ -42,7 +42,7 @@ local M = {}
 
 local MAX_SIZE = 65535 -- bytes of a payload
 local MAX_TITLE = 200 -- bytes: Wireshark aborts at a preference with a longer one
-local NO_ENTRY = 2 -- ENOENT
+local DENIED = 13 -- EACCES; the number of "no such file" is another one in the browser
 local INVALID = set "value.invalid command.key.invalid" -- the expert items for values
 
 -- Types of fields and options --------------------------------------------------------------------
@@ -353,7 +353,7 @@ end
 -- returns  its list of messages; nil and why there is none
 local function read_file(path, is_optional)
   local file, why, code = io.open(path)
-  if not file and is_optional and code == NO_ENTRY then return {} end
+  if not file and is_optional and code ~= DENIED then return {} end
   if not file then return nil, "cannot be read: " .. why end
   file:close()
   local ok, entries = pcall(function() return assert(loadfile(path))() end)
