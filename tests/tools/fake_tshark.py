@@ -40,7 +40,7 @@ STATISTICS = {
     "faults": f"time time, frame integer, {WHO}, field string, flag string, event string, active seconds, help string",
     "summary": f"{WHO}, count integer, rate number, gap_min seconds, gap_mean seconds, gap_max seconds, "
     "gap_max_frame integer, crc_bad integer, incomplete integer, late integer, reboots integer, values values, "
-    "missing integer, copies integer",
+    "invalid integer, missing integer, copies integer",
 }
 
 

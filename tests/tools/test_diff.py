@@ -57,7 +57,8 @@ def test_what_is_planted_is_found_with_its_size_and_nothing_else(runs):
     page = (runs / "page.html").read_text()
     assert "BEFORE, A" in page
     assert "://" not in page
-    assert page.count("<svg") == 4 * 4
+    assert page.count("<svg") == page.count("<h3>") > 4, "a picture under each title, of each controller"
+    assert all(f"<h3>{name}: " in page for name in ("fl", "fr", "rl", "rr"))
 
 
 @pytest.mark.parametrize(

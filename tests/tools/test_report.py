@@ -357,7 +357,7 @@ def test_times_are_read_by_people_and_count_from_the_captures_begin(example_brow
 
 def test_the_header_says_what_it_is_of(example_browser):
     said = example_browser.execute_script("return document.querySelector('header').innerText")
-    for text in ("flight.pcapng", "2023-11-14", "board revision 3", "plugin 2.", "catalogue command, motor, health"):
+    for text in ("flight.pcapng", "2023-11-14", "board revision 3", "plugin 3.", "catalogue command, motor, health"):
         assert text in said
     assert re.search(r"health \([0-9a-f]{8}\)", said)  # the catalogue's version
 
