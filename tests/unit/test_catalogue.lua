@@ -3,6 +3,7 @@
 -- The catalogue's checks: every error names the file, the message and the field.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local bits = require("yapp.base.bits")
 local catalogue = require("yapp.message.catalogue")
 
 local T = {}
@@ -232,6 +233,25 @@ function T.test_which_bits_are_alarms()
   lu.assertEquals({ #changed.alarms, changed.fault_field }, { 3, changed.by_name.fault_flags })
   lu.assertEquals({ fault.alarm_bits, state.alarm_bits, state.fault_word, motor.by_name.status_flags.alarm_bits },
     { 0xFFFFFFFF, 0x20, "FAULT", 0 })
+end
+
+-- Each fault of the vendor's has help.  What the document does not say is marked.
+function T.test_each_fault_has_help()
+  local from_document = { atpi_warning = true }
+  local seen = 0
+  for _, m in ipairs(catalogue.compile(dofile "taurus_fields.lua").messages) do
+    for _, field in ipairs(m.alarms) do
+      for _, flag in ipairs(field.flags) do
+        if bits.band(flag.mask, field.alarm_bits) ~= 0 then
+          seen = seen + 1
+          local is_marked = (flag.help or ""):find("%w %(our note%)$") ~= nil
+          lu.assertEquals({ flag.name, is_marked }, { flag.name, not from_document[flag.name] })
+          lu.assertNotNil(flag.help, flag.name)
+        end
+      end
+    end
+  end
+  lu.assertEquals(seen, 31)
 end
 
 -- The description of a filter of a message.
