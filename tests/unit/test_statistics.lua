@@ -683,7 +683,6 @@ function T.test_faults_by_alarm_bits()
   lu.assertEquals(found("faults,json", "", records), {
     '{,"field":"state","flag":"faulted","event":"raised","active":null,"help":"look at the fault flags"}',
     '{,"field":"state","flag":"faulted","event":"cleared","active":2.000000000,"help":"look at the fault flags"}' })
-  lu.assertStrContains(run({ "faults" }, records), "raised             look at the fault flags")
   lu.assertEquals(verdicts("fault=0", records)[1], "fault=0 left false 1 1")
 end
 

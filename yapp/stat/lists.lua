@@ -43,7 +43,7 @@ local FAULTS = output.columns(joined(WHEN_AND_WHO, {
   { "flag" },
   { "event" },
   { "active" },
-  { "help", type = "string", where = "json text", help = "what the catalogue says of the flag" },
+  { "help", type = "string", where = "json", help = "what the catalogue says of the flag" },
 }))
 --- The columns of both, see output.columns.
 M.COLUMNS = { events = EVENTS, faults = FAULTS }
