@@ -9,7 +9,7 @@ DEMO := docs/first.pcapng
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
 .PHONY: demo test test-all unit coverage unit-5.2 unit-5.4 unit-5.5 map hostile e2e lint install uninstall dist release soak matrix \
-  fuzz mutate valgrind bench screenshots filters regenerate \
+  fuzz mutate valgrind bench screenshots regenerate \
   needs-tshark needs-python needs-hatchling needs-tests needs-bench
 
 # $(call install-missing,commands that must be there,packages that bring them,another condition)
@@ -142,18 +142,10 @@ needs-bench: needs-tshark
 	$(call install-missing,python3 lua5.2 lua5.4,python3 python3-venv python3-can lua5.2 lua5.4,\
 	  /usr/bin/python3 -c 'import can; import ensurepip' 2>/dev/null)
 
-## docs/filters.md, the reference of all filter names
-filters: needs-tshark needs-python
-	/usr/bin/env python3 tools/filters_page.py
-
-## What follows from the rows of the code and of the catalogue: pages, the picture of CONTRIBUTING.md, what the captures show.
-## Read the difference
-regenerate: filters needs-tools
-	/usr/bin/env python3 tools/module_map.py --write
-	$(TOOLS)/python tools/columns_page.py >docs/columns.md
-	$(TOOLS)/python tools/api_page.py >docs/api.md
-	/usr/bin/env python3 test_captures/expected.py
-	/usr/bin/env python3 tests/e2e/test_messages.py
+## What follows from the rows of the code and of the catalogue: pages, their samples, the picture of CONTRIBUTING.md, what the
+## captures show.  It prints what changed: read the difference
+regenerate: needs-tshark needs-tools
+	@$(TOOLS)/python tools/regenerate.py
 
 screenshots:
 	tests/screenshots

@@ -82,17 +82,27 @@ local taurus = Proto("taurus", "Taurus motor controller")
 local headers = header_reader.new(Proto("yapp_socketcan", "YAPP reads CAN headers"))
 local tcp_header = Proto("yapp_tcp", "YAPP reads TCP headers")
 local usb_header = Proto("yapp_usb", "YAPP reads USB headers")
-preferences.define(yapp, catalogue, field_kinds, frame.MAX_ID)
+local preference_rows = preferences.define(yapp, catalogue, field_kinds, frame.MAX_ID)
 
 local buses = captures.watch()
 local types = message_types.new(catalogue)
 local default_names = {} -- titles by ID
 for id, message in pairs(catalogue.by_id) do default_names[id] = message.title end
-local yapp_fields = show_fields.of_yapp(yapp, default_names, catalogue.messages)
-local taurus_fields = show_fields.of_taurus(taurus, catalogue.messages)
+local field_rows = show_fields.rows(default_names, catalogue.messages)
+local yapp_fields = show_fields.of_yapp(yapp, field_rows)
+local taurus_fields = show_fields.of_taurus(taurus, field_rows)
 
 -- The preferences that others need, see stat.taps; read_preferences fills it.
-local settings = { version = VERSION, catalogue = catalogue, accepts_all = false }
+local settings = {
+  version = VERSION,
+  catalogue = catalogue,
+  accepts_all = false,
+  published = {
+    fields = field_rows,
+    experts = show_fields.EXPERTS,
+    preferences = preference_rows,
+  },
+}
 
 -- The objects that read and show YAPP; nil until something needs them, see make_reading.
 local reading, wants, frames, streams

@@ -3,8 +3,11 @@
 """Print docs/api.md, which is made of the docstrings of yapp_tables: api_page.py >docs/api.md"""
 import inspect
 import re
+import sys
 import textwrap
+from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parent / "src"))  # that of this tree, installed or not
 import yapp_tables as yt
 
 

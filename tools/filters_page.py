@@ -21,7 +21,7 @@ ROOT_IS_REFUSED = os.geteuid() == 0  # Wireshark 4.4 and later run no plugin as 
 HEAD = """# Filters
 
 Every name that the plugin adds to Wireshark's display filters. Published names never change.
-`make filters` writes this page from what `tshark -G fields` says of the plugin.
+`make regenerate` writes this page from what `tshark -G fields` says of the plugin.
 
 - **flag**: a field of one bit; `NAME == 1` finds the messages in which the bit is set.
 - **expert item**: a remark on a packet; `NAME` alone finds the packets that have it.

@@ -23,7 +23,7 @@ from can_generator import END, LONG_BLOCK, MIDDLE, SINGLE, START, Frame, Sent, m
 
 SECOND = 1_000_000_000
 EVERY = {message.name: message.every for message in model.MESSAGES.values() if message.every}  # a gap above LATE of them is a silence
-LATE = float(model.PREFERENCES["late"])
+LATE = 2.5  # the preference yapp.late
 MAX_BEHIND = 8  # a Seq so far behind is of a message that came late
 FIRST_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
 KIND = {name: ident for ident, (name, _, _) in model.MESSAGES.items()}

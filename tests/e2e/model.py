@@ -1,62 +1,29 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What a capture has to show, worked out without the plugin: the tables of the document and of the list of filter
-names typed once more, the float codec as its formula, and the CRC a bit at a time (test_captures/make.py).
+"""What a capture has to show, worked out without the plugin: the tables of the document typed once more, the float codec as its
+formula, and the CRC a bit at a time (test_captures/make.py).
 
-A message is one entry of MESSAGES: filter names, sweeps over its flags and reserved counts, and values follow from it.
-A statistic is one entry of STATISTICS, a kind of event one of KINDS, an expert item one of OF_MESSAGE, OF_CHANGE or OF_SEVERAL."""
+A message is one entry of MESSAGES: filter names, sweeps over its flags and reserved counts, random flights and streams, and
+values follow from it.  Other names are lines of tests/published.txt."""
+import re
 import struct
+
+import published
 
 MOTOR, HEALTH, COMMAND = 0x210, 0x200, 0x000
 MAPPING, WORKED_EXAMPLES = 6, 5  # what 2^N is reduced by
 
-YAPP = {
-    "id": "UINT32", "ctl": "UINT8", "seq": "UINT8", "size": "UINT16", "reserved": "UINT16", "sync": "UINT16",
-    "can.ctrl": "UINT8", "crc": "UINT32", "crc.status": "UINT8", "crc.calculated": "UINT32", "payload": "BYTES",
-    "undecoded": "BYTES", "padding": "BYTES", "fragments": "NONE", "fragment": "FRAMENUM", "fragment.count": "UINT32",
-    "reassembled.in": "FRAMENUM", "reassembled.length": "UINT32", "skipped": "BYTES", "time_delta": "RELATIVE_TIME",
-}
-# Expert items with their group and severity: Wireshark's colours, `-z expert` and filters on _ws.expert go by them.
-# Those of one message, or of its frames:
-OF_MESSAGE = {
-    "yapp.crc.bad": "CHECKSUM ERROR", "yapp.fragment.orphan": "SEQUENCE WARN", "yapp.fragment.incomplete": "REASSEMBLE WARN",
-    "yapp.fragment.overrun": "REASSEMBLE WARN", "yapp.size.mismatch": "PROTOCOL WARN", "yapp.id.unknown": "UNDECODED NOTE",
-    "yapp.reserved.nonzero": "PROTOCOL WARN", "yapp.can.ctrl.invalid": "PROTOCOL WARN", "yapp.stream.skipped": "SEQUENCE NOTE",
-    "yapp.truncated": "MALFORMED WARN", "yapp.fragment.duplicate": "SEQUENCE NOTE", "taurus.fault.active": "RESPONSE_CODE ERROR",
-    "taurus.command.key.invalid": "PROTOCOL WARN", "taurus.value.special": "PROTOCOL NOTE", "taurus.flags.undefined": "PROTOCOL NOTE",
-    "taurus.value.invalid": "PROTOCOL WARN",
-}
-# Worked out from more than one message: what test_flight_fields.py is about.  Those of a change, and the others.
-OF_CHANGE = {
-    "yapp.late": "SEQUENCE WARN", "taurus.reboot": "SEQUENCE WARN", "taurus.stale": "SEQUENCE WARN",
-    "taurus.fault.raised": "RESPONSE_CODE ERROR", "taurus.fault.cleared": "RESPONSE_CODE NOTE", "taurus.jump": "SEQUENCE WARN",
-}
-OF_SEVERAL = {"yapp.source.shared": "SEQUENCE WARN", "yapp.unfinished": "REASSEMBLE WARN", "yapp.copy": "SEQUENCE NOTE"}
-SEVERITIES = OF_MESSAGE | OF_CHANGE | OF_SEVERAL | {"yapp.can.id.missing": "UNDECODED WARN"}
-EXPERTS, CHANGE_EXPERTS, EVENT_EXPERTS = list(OF_MESSAGE), list(OF_CHANGE), [*OF_CHANGE, *OF_SEVERAL]
-# Of YAPP's own, in no .expected file: what is worked out from more than one message, and what a packet's menu goes by.
-HISTORY = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8", "yapp.copy_of": "FRAMENUM",
-           "yapp.reassembled.data": "BYTES", "yapp.fragment.data": "BYTES", "yapp.like.command": "UINT32", "yapp.like.motor": "UINT32",
-           "yapp.like.health": "UINT32", "yapp.can.id.missing": "NONE"}
+# Expert items and fields of YAPP's own that are worked out from more than one message: they stand in no .expected file.
+CHANGE_EXPERTS = ["yapp.late", "taurus.reboot", "taurus.stale", "taurus.fault.raised", "taurus.fault.cleared", "taurus.jump"]
+EVENT_EXPERTS = [*CHANGE_EXPERTS, "yapp.source.shared", "yapp.unfinished", "yapp.copy"]
+EXPERTS = [name for name in published.of("expert") if name not in (*EVENT_EXPERTS, "yapp.can.id.missing")]
+HISTORY = re.compile(r"yapp\.(bus|source|message\.fault|seq\.missing|copy_of|reassembled\.data|fragment\.data|like\..*)$")
+YAPP = {name.removeprefix("yapp."): kind for name, kind in published.of("field").items()
+        if name.startswith("yapp.") and not HISTORY.match(name)}
 
-# Kinds of event, in the order of the lists.  hides: what the line about faults that may be hidden calls them; counted_as: the
-# rule that counts them, if it is not their own; of_capture: one verdict for the whole capture; optional: not in `check` alone.
-KINDS = {
-    "fault": {}, "crc": {"hides": "with a bad CRC"}, "incomplete": {"hides": "incomplete"},
-    "unfinished": {"hides": "cut off by the end of the capture", "counted_as": "incomplete"}, "missing": {"hides": "missing by Seq No"},
-    "reboot": {}, "stale": {}, "jump": {}, "shared": {}, "silence": {}, "invalid": {}, "clock": {"of_capture": True},
-    "dropped": {"hides": "lost while capturing", "of_capture": True}, "absent": {"of_capture": True}, "copies": {"optional": True},
-    "unknown": {}, "skipped": {"hides": "in bytes of no frame", "optional": True},
-}
-RULES = [name for name, kind in KINDS.items() if not ("counted_as" in kind or "optional" in kind)]  # of `check` alone
-
-# By the name behind -z yapp, in the order of the errors that list them: the title in menus.
-STATISTICS = {"summary": "Summary", "faults": "Faults", "events": "Events", "compare": "Compare", "csv": "Export tables",
-              "check": "Check"}
-# What each preference is by default, as Wireshark writes it.
-PREFERENCES = {
-    "divisor": "2^N - 6 (mapping)", "command_ids": "0", "motor_ids": "528", "health_ids": "512", "messages": "", "sources": "",
-    "hide_source": "FALSE", "hide_values": "FALSE", "late": "2.5", "all_extended": "FALSE", "search_all": "FALSE", "user_dlt": "",
-}
+# A kind of event by its name: { key of its line in published.txt: text }.
+KINDS = {name: dict(word.partition("=")[::2] for word in line.split()) for name, line in published.of("kind").items()}
+RULES = [name for name, kind in KINDS.items() if not kind.keys() & {"counts_as", "is_optional"}]  # of `check` alone
+STATISTICS = published.of("statistic")
 IN_TEXT = [name for name in STATISTICS if name not in ("csv", "check")]  # a table, as text or as JSON
 ON_STDERR = [*(f"{name},json" for name in IN_TEXT), "csv,-,motor"]  # what is left out does not stand in the output
 
@@ -183,30 +150,6 @@ def filters():
                 names[f"{path}.special"] = "UINT8"
             elif is_flags(kind):
                 names.update((f"taurus.{name}.{kind[0]}.{flag}", "BOOLEAN") for flag in kind[1].values())
-    return names
-
-
-def generated_filters():
-    """Every filter name that the plugin works out for the messages, with its type, without FT_."""
-    names = {}
-    for message in MESSAGES.values():
-        path, flags = f"taurus.{message[0]}", [(field, size, kind) for field, size, kind in message[2] if is_flags(kind)]
-        names |= {f"{path}.{one}": "DOUBLE" for one in message.generated}
-        # Each has a unit whose digits in a column are known.
-        real = [*message.generated, *(field for field, _, kind in message[2] if is_float(kind))]
-        names |= {f"{path}.{one}.rounded": "DOUBLE" for one in real}
-        names |= {f"{path}.{field}.names": "STRING" for field, _, _ in flags}
-        names |= {f"{path}.{kind[0]}.{way}": f"UINT{8 * size}" for _, size, kind in flags for way in ("raised", "cleared")}
-        names |= {f"{path}.{kind[0]}.undefined": "UINT32" for _, _, kind in flags}
-        if any(kind is None for _, _, kind in message[2]):
-            names[f"{path}.clock_drift"] = "RELATIVE_TIME"
-        if message.answers:
-            names[f"{path}.{message.answers}_in"] = "FRAMENUM"
-        # Where another field's flag becomes a fault nothing gets another name.
-        whole = [kind[0] for _, size, kind in flags if kind.faults == 2 ** (8 * size) - 1]
-        for group in (whole or [kind[0] for _, _, kind in flags if kind.faults])[:1]:
-            names |= {f"{path}.{group}.active_time": "RELATIVE_TIME", f"{path}.{group}.previous_change": "FRAMENUM",
-                      f"{path}.{group}.next_change": "FRAMENUM"}
     return names
 
 

@@ -92,7 +92,7 @@ def test_what_these_tests_find(folder):
 def test_the_picture():
     """make map prints it."""
     assert module_map.text(tshark.ROOT) in (tshark.ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), \
-        "CONTRIBUTING.md has not what `make map` prints"
+        "run make regenerate"
 
 
 def test_the_modules_that_the_page_names():

@@ -712,15 +712,6 @@ def test_what_z_says(folder, home):
     assert sorted(listed) == sorted(f"yapp,{name}" for name in model.STATISTICS)
 
 
-def test_titles_and_forms_of_the_model():
-    """The GUI's tests find the windows by these titles, others go by these lists: they are the plugin's."""
-    code = 'for _, row in ipairs(require("yapp.stat.options").LIST) do print(row.name, row.title) end'
-    done = subprocess.run(["lua5.4", "-e", code], cwd=tshark.PLUGIN, capture_output=True, text=True, check=True)
-    assert dict(line.split("\t") for line in done.stdout.splitlines()) == model.STATISTICS
-    assert sorted([*model.IN_TEXT, "check", "csv"]) == sorted(model.STATISTICS)
-    assert sorted(form.split(",")[0] for form in model.ON_STDERR) == sorted([*model.IN_TEXT, "csv"])
-
-
 WRONG = [
     ("nonsense", f"it is {' or '.join(f'yapp,{name}' for name in model.STATISTICS)}"), ("summary,jsn", "jsn: the options of summary"),
     ("check,fault", "a rule is one of fault=N"), ("check,motr.rate=1", "there is no message"),

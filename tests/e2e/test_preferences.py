@@ -32,16 +32,6 @@ def stderr_of(*arguments, **options):
     return [line for line in done.stderr.splitlines() if line.startswith("yapp: ")]
 
 
-# What they are, and that each is listened to: plant.py ignores one at a time -------------------------------------
-
-def test_defaults():
-    """Of each, and that a text names the periods that a gap is measured by."""
-    shown = tshark.run("-G", "currentprefs", *tshark.load(tshark.PLUGIN / "yapp.lua"), plugin=False).stdout
-    assert dict(re.findall(r"(?m)^#?yapp\.(\w+): *(.*)$", shown)) == model.PREFERENCES
-    periods = ", ".join(f"{message[1]} {message.every:g} s" for message in model.MESSAGES.values() if message.every)
-    assert f"Periods: {periods}." in shown
-
-
 # Of Motor Data, which comes every 0.1 s: a preference, and the frames that are late by it.
 LATE = [([], [4]), (["-o", "yapp.late:2"], [3, 4]), (["-o", "yapp.late:2.6"], []), (["-o", "yapp.late:soon"], [4])]
 

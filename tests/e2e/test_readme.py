@@ -67,7 +67,7 @@ def test_examples_print_what_they_say(folder, code, command, printed):
         (folder / name).symlink_to(tshark.ROOT / name)
     done = shell(folder, command.replace(" -X lua_script:yapp.lua", ""))
     wanted = [line[4:].rstrip() for line in printed.splitlines()]
-    assert [line.rstrip() for line in done.stdout.splitlines()] == wanted, done.stderr
+    assert [line.rstrip() for line in done.stdout.splitlines()] == wanted, f"run make regenerate, and read the difference {done.stderr}"
     assert done.returncode == int(code or 0)
 
 
@@ -166,7 +166,7 @@ def test_the_map_names_what_there_is():
 
 
 def test_the_page_of_filters(folder):
-    """docs/filters.md is what the plugin has: run `make filters` after a change of a field."""
+    """docs/filters.md is what the plugin has."""
     page = folder / "filters.md"
     subprocess.run([sys.executable, tshark.ROOT / "tools/filters_page.py", page], check=True, timeout=tshark.TIMEOUT)
-    assert page.read_text() == (tshark.ROOT / "docs/filters.md").read_text()
+    assert page.read_text() == (tshark.ROOT / "docs/filters.md").read_text(), "run make regenerate"

@@ -10,8 +10,6 @@ import itertools
 import json
 import os
 import re
-import shutil
-import subprocess
 from decimal import Decimal
 
 import pytest
@@ -19,6 +17,7 @@ import pytest
 import flights
 import levels
 import model
+import published
 import tshark
 
 SEEDS = range(1, int(os.environ.get("YAPP_FLIGHTS", levels.size(3, 4))) + 1)
@@ -60,7 +59,7 @@ def assert_left_out(said, truth, is_about_faults):
     """What the answers say that they leave out: messages that were not decoded, and those that may hide a fault."""
     events = truth["events"]
     unknown = sum(line["count"] for line in events if line["kind"] == "unknown")
-    hiding = {name: kind["hides"] for name, kind in model.KINDS.items() if "hides" in kind}
+    hiding = {row["name"]: row["hides"] for row in published.inventory()["kinds"] if row["hides"]}
     counts = {text: sum(line.get("count", 1) for line in events if line["kind"] == kind and line["message"] in (None, "motor"))
               for kind, text in hiding.items()}
     counts["missing by their period"] = truth["missing_by_period"]
@@ -331,11 +330,11 @@ def rules_of(summary, events):
     def seen(kind):
         counted = {}
         for line in events:
-            if kind in (line["kind"], model.KINDS[line["kind"]].get("counted_as")) and line.get("event", "raised") == "raised":
+            if kind in (line["kind"], model.KINDS[line["kind"]].get("counts_as")) and line.get("event", "raised") == "raised":
                 frames = counted.setdefault((line["bus"], line["id"], line["message"]), {})
                 frames[line["frame"]] = line.get("count", 1)  # several of a message are one
         counts = [sum(frames.values()) for frames in counted.values()] or [0]
-        return sum(counts) if "of_capture" in model.KINDS[kind] else max(counts)
+        return sum(counts) if model.KINDS[kind].get("scope") == "capture" else max(counts)
 
     rules = [(kind, seen(kind)) for kind in model.RULES]
     loose = [f"{name}={count}" for name, count in rules]
@@ -414,72 +413,40 @@ def test_check(results, seed):
         assert all(line["ok"] is not None for line in found["check"])
 
 
-# The plugin's own tables: what the documents have to name.
-TABLES = """
-package.path = arg[1] .. "/?.lua;" .. package.path
-local function list(rows, keys)
-  for _, row in ipairs(rows) do
-    local cells = {}
-    for i, key in ipairs(keys) do cells[i] = tostring(row[key] or "") end
-    print(table.concat(cells, "|"))
-  end
-end
-if arg[2] == "kinds" then
-  list(require("yapp.stat.kinds").LIST, { "name", "keys", "is_optional", "counts_as", "needs_time", "scope", "is_counted_only" })
-else
-  list(require(arg[2] == "measures" and "yapp.stat.rules" or "yapp.stat.options").LIST, { "name", "text", "help", "needs_time" })
-end
-"""
-
-
-def rows_of(what):
-    lua = next(filter(None, map(shutil.which, ("lua5.2", "lua5.4", "lua"))))
-    done = subprocess.run([lua, "-", str(tshark.ROOT), what], input=TABLES, capture_output=True, text=True, check=True)
-    return [line.split("|") for line in done.stdout.splitlines()]
-
-
-WHATS = [row[0] for row in rows_of("options")]
 PAGE, RULES = ((tshark.ROOT / f"docs/{name}.md").read_text("utf-8") for name in ("statistics", "rules"))
+KINDS, MEASURES = (published.inventory()[name] for name in ("kinds", "rules"))
 
 
 def test_the_document_has_every_kind_of_event():
     """With its keys in JSON, and its rule; in the rule set of `check` alone those that are there."""
-    keys = {name: row[1] for row in re.findall(r"^\| ((?:`\w+` ?)+)\|([^|]*)\|", PAGE.partition("| kind of `events` |")[2], re.M)
+    keys = {name: row[1].strip("` ") for row in re.findall(r"^\| ((?:`\w+` ?)+)\|([^|]*)\|", PAGE.partition("| kind of `events` |")[2], re.M)
             for name in re.findall(r"\w+", row[0])}
     rules = set(re.findall(r"`(\w+)=N`", re.search(r"\| rule \|.*?\n\n", RULES, re.S)[0]))
     alone = re.search(r"it judges these rules: (.*?), each 0", RULES, re.S)[1]
-    kinds = rows_of("kinds")
-    assert {name: more.strip("` ") for name, more in keys.items() if name in [row[0] for row in kinds]} == \
-        {name: more for name, more, *_, is_counted_only in kinds if not is_counted_only}
-    assert rules == {name for name, _, _, counts_as, *_ in kinds if not counts_as}
-    assert re.findall(r"\w+", alone) == \
-        [name for name, _, is_optional, counts_as, *_ in kinds if not (is_optional or counts_as)] == model.RULES
-    assert [name for name, kind in model.KINDS.items() if "of_capture" in kind] == [name for name, *_, scope, _ in kinds if scope == "capture"]
-    assert list(model.KINDS) == [name for name, *_ in kinds]
+    for row in KINDS:
+        assert row["is_counted_only"] or keys[row["name"]] == (row["keys"] or ""), row
+    assert rules == {row["name"] for row in KINDS if not row["counts_as"]}
+    assert re.findall(r"\w+", alone) == model.RULES
 
 
 def test_the_document_has_every_rule_about_a_message():
     """motor.gap=S for MESSAGE.gap=S; the first words of its row are the plugin's own."""
     rows = dict(re.findall(r"^\| `(motor\.[^`=]*)=[^`]*` \| (.*?) \|$", RULES.partition("| rule |")[2], re.M))
-    measures = rows_of("measures")
-    assert len(measures) > 4
-    for _, text, help_, _ in measures:
-        rule = text.partition("=")[0].replace("MESSAGE", "motor").replace("FIELD", r"\w+_\w+")  # a measure has no "_"
+    for row in MEASURES:
+        rule = row["text"].partition("=")[0].replace("MESSAGE", "motor").replace("FIELD", r"\w+_\w+")  # a measure has no "_"
         told = next(words for name, words in rows.items() if re.fullmatch(rule, name))
-        assert re.sub(r"\[(\w+)\]\(.*?\)", r"\1", told).startswith(help_)
+        assert re.sub(r"\[(\w+)\]\(.*?\)", r"\1", told).startswith(row["help"])
 
 
 def test_the_lists_of_rules_in_the_document():
     """The words of rules that a field may have, too, and the rules about time."""
-    of_message = [name for name, text, *_ in rows_of("measures") if text.startswith(f"MESSAGE.{name}=")]
-    about_time = {row[0] for what, index in (("kinds", -3), ("measures", -1)) for row in rows_of(what) if row[index] == "true"}
-    assert len(of_message) > 2 and len(about_time) > 4
+    of_message = {row["name"] for row in MEASURES if row["text"].startswith(f"MESSAGE.{row['name']}=")}
+    about_time = {row["name"] for row in [*KINDS, *MEASURES] if row["needs_time"]}
     listed = [re.search(shape, RULES, re.S)[1] for shape in (r"A field of your own may be called ([^.]*)\.", r"A rule is about time \((.*?)\)")]
-    assert set(re.findall(r"`(\w+)`", listed[0])) == set(of_message)
-    assert set(re.findall(r"`(\w+)`", listed[1])) == about_time
+    assert [set(re.findall(r"`(\w+)`", text)) for text in listed] == [of_message, about_time]
 
 
-@pytest.mark.parametrize("what", WHATS)
+@pytest.mark.parametrize("what", model.STATISTICS)
 def test_the_document_has_every_key(what):
     """In docs/statistics.md, in the row of the statistic and in no other order."""
     page = PAGE.partition("## Keys of JSON")[2]
@@ -494,23 +461,3 @@ def test_the_document_has_every_key(what):
 def lines_of(what, form=",json"):
     options = f",{tshark.writable_folder() / 'tables'}" if what == "csv" else ""
     return tshark.run("-q", "-r", tshark.ROOT / "docs/flight.pcapng", "-z", f"yapp,{what}{options}{form}", check=False).stdout.splitlines()
-
-
-# The titles of the tables for people, typed once more; "rate/Hz" is one word, "since start/s" has blanks.  Empty columns are left out.
-TITLES = {
-    "summary": ["bus|ID|message|count|rate/Hz|gap/s min|mean|max|in frame|bad CRC|incomplete|late|reboots|invalid|skipped|missing|copies",
-                "bus|ID|message|field|unit|min|mean|max|count"],
-    "faults": ["time (UTC)|since start/s|frame|bus|ID|message|field|flag|event|active/s"],
-    "events": ["time (UTC)|since start/s|frame|bus|ID|message|event|details"],
-    "compare": ["field|unit|source|min|mean|max|spread|since start/s|frame"] * 3,
-    "csv": ["file|rows"],
-    "check": ["check|rule|bus|ID|message|frame|seen|note"],
-}
-
-
-@pytest.mark.parametrize("what", WHATS)
-def test_the_titles_of_its_tables(what):
-    """A table begins behind an empty line, and the sum of the check stands there, too."""
-    lines = [""] + lines_of(what, "")
-    found = [re.sub(" +", " ", line) for before, line in zip(lines, lines[1:]) if not before and not re.match(r"YAPP |\d", line)]
-    assert found == [row.replace("|", " ") for row in TITLES[what]]

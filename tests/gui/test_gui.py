@@ -12,6 +12,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 import gui  # noqa: E402
 import can_generator  # noqa: E402
 import model  # noqa: E402
+import published  # noqa: E402
 
 pytestmark = pytest.mark.skipif(bool(gui.MISSING), reason=f"not installed: {', '.join(gui.MISSING)}")
 
@@ -207,7 +208,8 @@ def test_a_statistic_in_a_window(captures):
 
 
 # Under Tools, the last entry is YAPP; its entries by the alphabet.
-MENU = sorted([*model.STATISTICS.values(), "Decode unknown IDs by size", "Help"])
+TITLES = {name: row["title"] for name, row in published.inventory()["statistics"].items()}
+MENU = sorted([*TITLES.values(), "Decode unknown IDs by size", "Help"])
 
 
 def choose(wireshark, entry, title=None):
@@ -254,8 +256,8 @@ def test_check_tables_and_help_in_the_menu(captures):
         text_of(wireshark, "YAPP Check", "FAILED  fault=0")
         for name in model.IN_TEXT:  # a row is one line of a window as it opens, but for texts of events
             wireshark.wait_for_window("first.pcapng")
-            choose(wireshark, model.STATISTICS[name])
-            longest = max(map(len, text_of(wireshark, f"YAPP {model.STATISTICS[name]}", f"YAPP {name}:").splitlines()))
+            choose(wireshark, TITLES[name])
+            longest = max(map(len, text_of(wireshark, f"YAPP {TITLES[name]}", f"YAPP {name}:").splitlines()))
             assert longest <= (95 if name == "events" else 73)
         wireshark.wait_for_window("first.pcapng")
         choose(wireshark, "Export tables")

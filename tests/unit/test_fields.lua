@@ -49,7 +49,7 @@ end
 
 function T.test_fields_of_yapp()
   local proto, names = {}, { [7] = "Seven" }
-  local made = fields.of_yapp(proto, names, { { name = "motor", title = "Motor Data" } })
+  local made = fields.of_yapp(proto, fields.rows(names, { { name = "motor", title = "Motor Data", filters = {} } }))
   lu.assertEquals({ made.seq, made["like.motor"] }, { "yapp.seq", "yapp.like.motor" })
   lu.assertIs(proto.fields, made)
   lu.assertIs(seen.fields["yapp.id"][3], names)
@@ -71,10 +71,10 @@ end
 
 function T.test_fields_of_messages()
   local proto, values = {}, { [0] = "Off" }
-  local made = fields.of_taurus(proto, { { filters = {
+  local made = fields.of_taurus(proto, {
     { "taurus.one", "UINT8", "One", "About one", "HEX", values, 3 }, { "taurus.two", "BOOLEAN", "Two", "About two", 8,
       nil, 1 },
-    { "taurus.three", "FRAMENUM", "Three", "About three", nil, "ACK" } } } })
+    { "taurus.three", "FRAMENUM", "Three", "About three", nil, "ACK" } })
   lu.assertEquals(seen.fields, { ["taurus.one"] = { "One", "UINT8", values, "HEX", 3, "About one" },
     ["taurus.two"] = { "Two", "BOOLEAN", nil, 8, 1, "About two" },
     ["taurus.three"] = { "Three", "FRAMENUM", "frame ACK", "NONE", nil, "About three" } })
@@ -95,7 +95,7 @@ function T.test_changes()
 end
 
 function T.test_expert_items()
-  fields.of_yapp({}, {}, {})
+  fields.of_yapp({}, {})
   local item = { visible = true, add_proto_expert_info = function(_, one) table.insert(seen.added, one) end }
   fields.add_expert(nil, "yapp.crc.bad", "text")
   fields.add_expert(item, "yapp.crc.bad")

@@ -3,6 +3,7 @@
 -- Wireshark's API is a stand-in of tables; the real one is in tests/e2e.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local unpack = rawget(table, "unpack")
 
 local T = {}
 
@@ -103,50 +104,19 @@ function T.test_link_types()
   lu.assertEquals({ links[45] == nil, links[46] }, { true, "the user's table" })
 end
 
--- The preferences as they are defined: { name, constructor, default }.
+-- The rows of tests/published.txt have the others.
 function T.test_definitions()
-  local constructor = function(kind)
-    return function(title, default, about, more) return { kind, title, default, about, more } end
-  end
-  _G.Pref = {}
-  for _, kind in ipairs { "enum", "range", "string", "bool" } do _G.Pref[kind] = constructor(kind) end
-  local proto = { prefs = {} }
-  local motor = { name = "motor", title = "Motor Data", id = 0x210, every = 0.1 }
-  local odd = { name = "odd", title = "Odd", id = 5 }
-  local kinds = { MAPPING = 6, WORKED_EXAMPLES = 5 }
-  require("yapp.host.preferences").define(proto, { messages = { motor, odd } }, kinds, 2047)
-  local found = {}
-  for name, pref in pairs(proto.prefs) do
-    lu.assertTrue(#pref[2] > 5 and #pref[4] > 20, name)
-    found[name] = { pref[1], pref[3] }
-  end
-  local titles = {}
-  for name, pref in pairs(proto.prefs) do titles[name] = pref[2] end
-  lu.assertEquals(titles, {
-    divisor = "Compressed floats divide by", motor_ids = "Motor Data message IDs (0x210 = 528)",
-    odd_ids = "Odd message IDs (0x5 = 5)", messages = "File with your own messages", sources = "Names of sources",
-    hide_source = "Leave the source out of Info", hide_values = "Leave values out of Info that have columns",
-    late = "Report a gap longer than ... periods", all_extended = "All extended CAN frames are YAPP",
-    search_all = "Look for YAPP in all TCP, UDP and USB traffic", user_dlt = "Link types that carry a serial stream",
-  })
-  lu.assertEquals(found, {
-    divisor = { "enum", 6 }, motor_ids = { "range", "0x210" }, odd_ids = { "range", "0x5" },
-    messages = { "string", "" }, sources = { "string", "" }, hide_source = { "bool", false },
-    hide_values = { "bool", false }, late = { "string", "2.5" }, all_extended = { "bool", false },
-    search_all = { "bool", false }, user_dlt = { "range", "" },
-  })
-  local prefs = proto.prefs
+  _G.Pref = setmetatable({}, { __index = function(_, kind) return function(...) return { kind, ... } end end })
+  local prefs, motor = {}, { name = "motor", title = "Motor Data", id = 0x210, every = 0.1 }
+  local rows = require("yapp.host.preferences").define({ prefs = prefs }, { messages = { motor } },
+    { MAPPING = 6, WORKED_EXAMPLES = 5 }, 2047)
+  for _, row in ipairs(rows) do lu.assertEquals({ unpack(prefs[row[1]], 1, 4) }, { unpack(row, 2, 5) }) end
+  lu.assertEquals({ unpack(prefs.motor_ids, 1, 3) }, { "range", "Motor Data message IDs (0x210 = 528)", "0x210" })
   lu.assertEquals({ prefs.motor_ids[5], prefs.user_dlt[5] }, { 2047, 162 })
   lu.assertEquals(prefs.divisor[5], { { 1, "2^N - 6 (mapping)", 6 }, { 2, "2^N - 5 (worked examples)", 5 } })
   lu.assertStrContains(prefs.motor_ids[4], "several controllers share a bus: 0x210-0x213.")
-  lu.assertStrContains(prefs.late[4], "Periods: Motor Data 0.1 s.")
   lu.assertStrContains(prefs.motor_ids[4], "0x210 by default, which Wireshark shows as 528.")
+  lu.assertStrContains(prefs.late[4], "Periods: Motor Data 0.1 s.")
 end
-
--- Ports -------------------------------------------------------------------------------------------
-
--- TCP ---------------------------------------------------------------------------------------------
-
--- USB ---------------------------------------------------------------------------------------------
 
 return T

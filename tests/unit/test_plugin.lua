@@ -129,7 +129,7 @@ function T.setUp()
       for name, value in pairs(DEFAULTS) do proto.prefs[name] = value end
     end,
     ["streams.undecoded_options"] = {},
-    ["fields.of_yapp"] = {}, ["fields.of_taurus"] = {},
+    ["fields.of_yapp"] = {}, ["fields.of_taurus"] = {}, ["fields.rows"] = {},
   }
   for name in pairs(package.loaded) do if name:find("^yapp%.") then real.loaded[name] = package.loaded[name] end end
   for i, searcher in ipairs(searchers) do real.searchers[i] = searcher end

@@ -98,7 +98,7 @@ local function settings_of(with)
   if with.sources_text then sources = sources_of.parse(with.sources_text, catalogue) end
   local ids = with.ids or {}
   for _, message in ipairs(catalogue.messages) do ids[message.name] = ids[message.name] or { message.id } end
-  return { version = "9.8.7", catalogue = catalogue, late = 2.5, sources = sources, ids = ids,
+  return { published = { fields = {}, experts = {}, preferences = {} }, version = "9.8.7", catalogue = catalogue, late = 2.5, sources = sources, ids = ids,
     sources_text = with.sources_text or "", problems = { with.problem } }
 end
 
@@ -377,7 +377,7 @@ function T.test_csv_in_a_folder()
     lu.assertStrContains(read(folder .. "/fields.json"), '{"version":1,"plugin":"9.8.7","messages":{"motor":' ..
       '{"title":"Motor Data","every":0.1,"columns":[{"name":"time",')
     lu.assertStrContains(read(folder .. "/fields.json"), '{"name":"mode","unit":null,"type":"integer","filter":"taurus.motor.mode",' ..
-      '"title":"Mode","kind":"uint","bits":8,"values":{"0":"off","3":"on"}}')
+      '"title":"Mode","low":null,"high":null,"kind":"uint","bits":8,"values":{"0":"off","3":"on"}}')
     lu.assertNil(io.open(folder .. "/motor.csv.part"))
   end)
 end

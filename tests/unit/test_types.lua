@@ -3,8 +3,7 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
-local csv = require("yapp.stat.csv")
-local output = require("yapp.stat.output")
+local inventory = require("yapp.stat.inventory")
 local binary = require("yapp.message.binary")
 local field_kinds = require("yapp.message.field_kinds")
 local text_of = require("yapp.message.text")
@@ -313,36 +312,36 @@ function T.test_types_of_columns()
     "j_x bool -" })
 end
 
--- JSON has no line with "who".
-local NOTE = output.columns { { "who", where = "window" },
-  { "rate", type = "number", unit = "Hz", where = "json", help = "how often" },
-  { "gap", type = "seconds", unit = "s", title = "longest", short = "gap/s", where = "window" } }
-
--- fields.json: what a reader needs for the type of a column, and what its numbers mean.
+-- What a reader needs for the type of a column, and what its numbers mean.
 function T.test_columns_are_described()
-  local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 16, every = 0.5,
+  local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 13, every = 0.5,
     { "mode", "int8", "Mode", values = { [10] = "ten", [-1] = "lost", [2] = 'a "b"' } },
     { "bits", "uint16", "Bits", group = "bit", flags = { { "hot", 0x1, "Too Hot" } } },
-    { "volts", "float16", "Volts", min = 0, max = 5, unit = "V" }, { "serial", "uint64", "Serial" },
-    { "plain", "uint24", "Plain", values = {} } } }
+    { "volts", "float16", "Volts", min = 0, max = 5, unit = "V" }, { "serial", "uint64", "Serial" } } }
+  local nulls, columns = { low = "null", high = "null", kind = "null", bits = "null", values = "null" }, {}
   local function column(name, type, title, rest)
-    local json = '{"name":"%s","unit":null,"type":"%s","filter":"taurus.m.%s","title":"%s",%s}'
-    return json:format(name, type, rest.filter or name, title, rest[1] or '"kind":null,"bits":null,"values":null')
+    for key, text in pairs(nulls) do rest[key] = rest[key] or text end
+    rest.name, rest.type, rest.title, rest.unit = name, type, title, rest.unit or "null"
+    rest.filter = "taurus.m." .. (rest.filter or name)
+    local json = '{"name":"$name","unit":$unit,"type":"$type","filter":"$filter","title":"$title",' ..
+      '"low":$low,"high":$high,"kind":$kind,"bits":$bits,"values":$values}'
+    columns[#columns + 1] = json:gsub("%$(%l+)", rest)
   end
-  lu.assertEquals(csv.describe(compiled, "9.8.7", text_of.columns, { { name = "note", columns = NOTE } }),
-    '{"version":1,"plugin":"9.8.7","messages":{"m":{"title":"M","every":0.5,"columns":[' .. table.concat({
-      column("mode", "integer", "Mode", { '"kind":"int","bits":8,"values":{"-1":"lost","2":"a \\"b\\"","10":"ten"}' }),
-      column("mode_text", "string", "Mode", { filter = "mode" }),
-      column("bits", "integer", "Bits", { '"kind":"flags","bits":16,"values":null' }),
-      column("bit_hot", "bool", "Too Hot", { filter = "bit.hot" }),
-      (column("volts", "float", "Volts", {}):gsub('"unit":null', '"unit":"V"')),
-      column("volts_special", "string", "Volts", { filter = "volts" }),
-      column("serial", "integer", "Serial", { '"kind":"uint","bits":64,"values":null' }),
-      column("plain", "integer", "Plain", { '"kind":"uint","bits":24,"values":{}' }),
-      column("plain_text", "string", "Plain", { filter = "plain" }) }, ",") ..
-      '],"differences":[]}},"statistics":{"note":{"columns":[' ..
-      '{"name":"rate","type":"number","unit":"Hz","title":"rate/Hz","help":"how often"},' ..
-      '{"name":"gap","type":"seconds","unit":"s","title":"longest","help":null}]}}}')
+  column("mode", "integer", "Mode", { kind = '"int"', bits = 8, values = '{"-1":"lost","2":"a \\"b\\"","10":"ten"}' })
+  column("mode_text", "string", "Mode", { filter = "mode" })
+  column("bits", "integer", "Bits", { kind = '"flags"', bits = 16 })
+  column("bit_hot", "bool", "Too Hot", { filter = "bit.hot" })
+  column("volts", "float", "Volts", { unit = '"V"', low = 0, high = 5 })
+  column("volts_special", "string", "Volts", { filter = "volts" })
+  column("serial", "integer", "Serial", { kind = '"uint"', bits = 64 })
+  local settings = { catalogue = compiled, version = "9.8.7", published = {
+    fields = { { "a.b", "UINT8", "A", "about" } }, experts = {},
+    preferences = { { "late", "bool", "Late", false, "about" } } } }
+  local text = inventory.describe(settings, text_of.columns, {})
+  lu.assertStrContains(text, '{"version":1,"plugin":"9.8.7","messages":{"m":{"title":"M","every":0.5,' ..
+    '"columns":[' .. table.concat(columns, ",") .. '],"differences":[]}},"statistics":{},"kinds":[{"name":"fault",')
+  lu.assertStrContains(text, '"fields":[{"name":"a.b","type":"UINT8","title":"A","help":"about"}],"experts":[],' ..
+    '"preferences":[{"name":"late","type":"bool","title":"Late","default":false,"help":"about"}]}')
 end
 
 -- A unit follows a value if its placeholder says so, also a reserved value and one that is not there.

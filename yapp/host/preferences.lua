@@ -2,9 +2,11 @@
 -- The preferences: their names and texts, and the meaning of their values.  Wireshark's API.
 
 local input = require "yapp.base.input"
+local joined = require "yapp.base.joined"
 
 local M = {}
 
+local unpack = rawget(table, "unpack")
 local FIRST_DLT, LAST_DLT = 147, 162 -- DLT_USER0 .. DLT_USER15
 
 --- Show problems to the user: in one dialog in Wireshark, on stderr in tshark.
@@ -37,62 +39,73 @@ function M.has_said(text)
   return is_said[text] or false
 end
 
---- Give a protocol its preferences.
--- proto      Proto
--- catalogue  compiled
--- field_kinds  the module
--- max_id     the highest message ID
-function M.define(proto, catalogue, field_kinds, max_id)
-  local prefs, periods = proto.prefs, {}
-  for _, message in ipairs(catalogue.messages) do
+-- Name, constructor, title, default, description, and the constructor's last argument.
+local function rows_of(catalogue, field_kinds, max_id)
+  local of_messages, periods = {}, {}
+  for i, message in ipairs(catalogue.messages) do
     local title, id, period = message.title, ("0x%x"):format(message.id), message.every
     local about = ("The IDs that carry %s; %s by default, which Wireshark shows as %d. Change " ..
       "it if a controller has other IDs, or if several controllers share a bus: %s-0x%x."):format(
       title, id, message.id, id, message.id + 3)
     local label = ("%s message IDs (%s = %d)"):format(title, id, message.id)
-    prefs[message.name .. "_ids"] = Pref.range(label, id, about, max_id)
+    of_messages[i] = { message.name .. "_ids", "range", label, id, about, max_id }
     if period then periods[#periods + 1] = ("%s %g s"):format(title, period) end
   end
-  prefs.sources = Pref.string("Names of sources", "",
-    "What to call an ID, everywhere or on one bus, and which message it carries: " ..
-    "0x210=motor:left_fore, can1/0x210=motor:right_fore, 0x212=left_tail. Several IDs have " ..
-    "one name with a plus between them: can0/0x000+0x200+0x210=left. A range names each of its " ..
-    "IDs: can0/0x210-0x213=motor:M1..M4. A bus alone names all of " ..
-    "its IDs: can2=tail. An interface without a name is if0 or if1, its number in the file.")
-  prefs.messages = Pref.string("File with your own messages", "",
-    "A Lua file like taurus_fields.lua. Its messages come after those of yapp_messages.lua in " ..
-    "the personal configuration folder, which needs no setting. It is read when Wireshark " ..
-    "starts, from the default profile's setting: a change takes effect at the next start. For " ..
-    "one run alone set the environment variable YAPP_MESSAGES.")
-  prefs.hide_source = Pref.bool("Leave the source out of Info", false,
-    "Switch it on if a column shows yapp.source, as in the profile YAPP: Info and the tree then " ..
-    "say Motor Data instead of Motor Data left. A message with a fault or a warning keeps its " ..
-    "source, for the expert information.")
-  prefs.hide_values = Pref.bool("Leave values out of Info that have columns", false,
-    "Switch it on if columns show speed, voltage and current, as in the profile YAPP: Info then " ..
-    "has the other values of Motor Data.")
-  prefs.late = Pref.string("Report a gap longer than ... periods", "2.5",
-    "A longer gap between two messages of a source is a warning, yapp.late. At 2.5 a single " ..
-    "lost message causes no warning. Periods: " .. table.concat(periods, ", ") .. ".")
-  prefs.all_extended = Pref.bool("All extended CAN frames are YAPP", false,
-    "Switch it on for a bus that carries nothing but YAPP: you see unknown IDs, other YAPP CTL " ..
-    "values and malformed frames, too. By default the plugin takes only what is surely YAPP.")
-  prefs.search_all = Pref.bool("Look for YAPP in all TCP, UDP and USB traffic", false,
-    "The plugin finds YAPP in TCP, UDP and USB by itself in live captures, and in files whose " ..
-    "first 64 KB have a header. Switch it on if YAPP comes later in your files. It costs " ..
-    "about 1 µs for each packet that no other dissector takes.")
-  prefs.divisor = Pref.enum("Compressed floats divide by", field_kinds.MAPPING,
-    "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed " ..
-    "in the worked examples of the vendor's document (0.4975 A, 749.26 RPM).",
-    {
-      { 1, "2^N - 6 (mapping)", field_kinds.MAPPING },
-      { 2, "2^N - 5 (worked examples)", field_kinds.WORKED_EXAMPLES },
-    })
-  prefs.user_dlt = Pref.range("Link types that carry a serial stream", "",
-    "147 to 162, the numbers of DLT_USER0 to DLT_USER15. Set it for serial captures with such a " ..
-    "link type, if Wireshark's DLT_USER table is not convenient: this preference overrides that " ..
-    "table. Usually empty.",
-    LAST_DLT)
+  return joined(of_messages, {
+    { "sources", "string", "Names of sources", "",
+      "What to call an ID, everywhere or on one bus, and which message it carries: " ..
+      "0x210=motor:left_fore, can1/0x210=motor:right_fore, 0x212=left_tail. Several IDs have " ..
+      "one name with a plus between them: can0/0x000+0x200+0x210=left. A range names each of " ..
+      "its IDs: can0/0x210-0x213=motor:M1..M4. A bus alone names all of " ..
+      "its IDs: can2=tail. An interface without a name is if0 or if1, its number in the file." },
+    { "messages", "string", "File with your own messages", "",
+      "A Lua file like taurus_fields.lua. Its messages come after those of yapp_messages.lua in " ..
+      "the personal configuration folder, which needs no setting. It is read when Wireshark " ..
+      "starts, from the default profile's setting: a change takes effect at the next start. " ..
+      "For one run alone set the environment variable YAPP_MESSAGES." },
+    { "hide_source", "bool", "Leave the source out of Info", false,
+      "Switch it on if a column shows yapp.source, as in the profile YAPP: Info and the tree " ..
+      "then say Motor Data instead of Motor Data left. A message with a fault or a warning " ..
+      "keeps its source, for the expert information." },
+    { "hide_values", "bool", "Leave values out of Info that have columns", false,
+      "Switch it on if columns show speed, voltage and current, as in the profile YAPP: Info " ..
+      "then has the other values of Motor Data." },
+    { "late", "string", "Report a gap longer than ... periods", "2.5",
+      "A longer gap between two messages of a source is a warning, yapp.late. At 2.5 a single " ..
+      "lost message causes no warning. Periods: " .. table.concat(periods, ", ") .. "." },
+    { "all_extended", "bool", "All extended CAN frames are YAPP", false,
+      "Switch it on for a bus that carries nothing but YAPP: you see unknown IDs, other YAPP " ..
+      "CTL values and malformed frames, too. By default the plugin takes only what is surely " ..
+      "YAPP." },
+    { "search_all", "bool", "Look for YAPP in all TCP, UDP and USB traffic", false,
+      "The plugin finds YAPP in TCP, UDP and USB by itself in live captures, and in files whose " ..
+      "first 64 KB have a header. Switch it on if YAPP comes later in your files. It costs " ..
+      "about 1 µs for each packet that no other dissector takes." },
+    { "divisor", "enum", "Compressed floats divide by", field_kinds.MAPPING,
+      "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed " ..
+      "in the worked examples of the vendor's document (0.4975 A, 749.26 RPM).",
+      {
+        { 1, "2^N - 6 (mapping)", field_kinds.MAPPING },
+        { 2, "2^N - 5 (worked examples)", field_kinds.WORKED_EXAMPLES },
+      } },
+    { "user_dlt", "range", "Link types that carry a serial stream", "",
+      "147 to 162, the numbers of DLT_USER0 to DLT_USER15. Set it for serial captures with such " ..
+      "a link type, if Wireshark's DLT_USER table is not convenient: this preference overrides " ..
+      "that table. Usually empty.",
+      LAST_DLT },
+  })
+end
+
+--- Give a protocol its preferences.
+-- proto      Proto
+-- catalogue  compiled
+-- field_kinds  the module
+-- max_id     the highest message ID
+-- returns    a list of rows: { name, constructor, title, default, description }
+function M.define(proto, catalogue, field_kinds, max_id)
+  local rows = rows_of(catalogue, field_kinds, max_id)
+  for _, row in ipairs(rows) do proto.prefs[row[1]] = Pref[row[2]](unpack(row, 3, 6)) end
+  return rows
 end
 
 --- Return the numbers of a range, each once, in its order.

@@ -32,7 +32,8 @@ local function add_flags(message_type, field, about, add)
     add(flag.filter, "BOOLEAN", flag.title, text, bits, nil, flag.mask)
   end
   add(field.filter .. ".names", "STRING", title, "Names of the bits that are set: " .. about)
-  for way, verb in pairs { raised = "rose", cleared = "fell" } do
+  for _, words in ipairs { { "raised", "rose" }, { "cleared", "fell" } } do
+    local way, verb = words[1], words[2]
     add(group .. "." .. way, "UINT" .. bits, title .. " " .. way,
       ("Bits that %s since the source's previous good message: %s"):format(verb, about), "HEX")
   end

@@ -2,7 +2,7 @@
 -- Makes the fields and expert items, YAPP's own from the rows below, those of messages from the
 -- compiled catalogue; and adds them to a tree.  Wireshark's API.
 --
--- A field of YAPP's is a row of YAPP, an expert item a row of EXPERTS.
+-- A field of YAPP's is a row of YAPP, an expert item a row of M.EXPERTS.
 
 local M = {}
 
@@ -68,12 +68,12 @@ local YAPP = {
     "How many messages are missing before this one, by sequence number" },
 }
 
--- Expert items: filter, text, group, severity.  The text is the same each time, so that `-z expert`
--- counts it; numbers stand in the item's label, see M.add_expert.  Of a change:
+--- Expert items: filter, text, group, severity.  The text is the same each time, so that
+-- `-z expert` counts it; numbers stand in the item's label, see M.add_expert.  Of a change:
 --   change  its name in message.history
 --   label   of the item, with the number of the change; nil for the text
 --   word    in the Info column, or nil
-local EXPERTS = {
+M.EXPERTS = {
   { "yapp.crc.bad", "Bad CRC", "CHECKSUM", "ERROR" },
   { "yapp.fragment.orphan", "Middle or End without a Start", "SEQUENCE", "WARN" },
   { "yapp.fragment.incomplete", "Message with bytes missing", "REASSEMBLE", "WARN" },
@@ -114,7 +114,7 @@ local EXPERTS = {
 M.EXPERT_NAMES = {}
 --- The rows of the expert items of changes.
 M.CHANGES = {}
-for _, row in ipairs(EXPERTS) do
+for _, row in ipairs(M.EXPERTS) do
   M.EXPERT_NAMES[row[1]] = true
   if row.change then table.insert(M.CHANGES, row) end
 end
@@ -134,7 +134,7 @@ local experts = {} -- [filter] = ProtoExpert, made once, when the plugin loads
 -- Give a protocol its fields, and the expert items whose filters begin with this prefix.
 local function define(proto, prefix, fields)
   local own = {}
-  for _, row in ipairs(EXPERTS) do
+  for _, row in ipairs(M.EXPERTS) do
     local name, text, group, severity = row[1], row[2], row[3], row[4]
     if name:find(prefix, 1, true) == 1 then
       own[name] = ProtoExpert.new(name, text, expert.group[group], expert.severity[severity])
@@ -144,35 +144,47 @@ local function define(proto, prefix, fields)
   proto.fields, proto.experts = fields, own
 end
 
---- Make YAPP's own fields and expert items and hand them to the protocol.
--- yapp     Proto
+--- Return the rows of all fields: { filter, type, title, description, ... }, those of YAPP first.
 -- names    { [id] = title } of the messages that are known
 -- messages of the catalogue
--- returns  { [filter without "yapp."] = ProtoField }
-function M.of_yapp(yapp, names, messages)
-  local fields = {}
-  for _, row in ipairs(YAPP) do
-    local name = row[1]
-    if name == "id" then row[6] = names end
-    fields[name] = new_field("yapp." .. name, unpack(row, 2, 6))
+function M.rows(names, messages)
+  local rows = {}
+  for i, row in ipairs(YAPP) do
+    rows[i] = { "yapp." .. row[1], unpack(row, 2, 6) }
+    if row[1] == "id" then rows[i][6] = names end
   end
   for _, message in ipairs(messages) do
-    local name = "like." .. message.name
-    fields[name] = new_field("yapp." .. name, "UINT32", "Could be " .. message.title,
-      "ID that is not in the catalogue, of a message with the size of " .. message.title, "HEX")
+    rows[#rows + 1] = { "yapp.like." .. message.name, "UINT32", "Could be " .. message.title,
+      "ID that is not in the catalogue, of a message with the size of " .. message.title, "HEX" }
+  end
+  for _, message in ipairs(messages) do
+    for _, row in ipairs(message.filters) do rows[#rows + 1] = row end
+  end
+  return rows
+end
+
+--- Make YAPP's own fields and expert items and hand them to the protocol.
+-- yapp     Proto
+-- rows     of M.rows
+-- returns  { [filter without "yapp."] = ProtoField }
+function M.of_yapp(yapp, rows)
+  local fields = {}
+  for _, row in ipairs(rows) do
+    local name = row[1]:match("^yapp%.(.*)")
+    if name then fields[name] = new_field(unpack(row, 1, 6)) end
   end
   define(yapp, "yapp.", fields)
   return fields
 end
 
 --- Make the fields and expert items of the messages and hand them to the protocol.
--- taurus    Proto
--- messages  of the catalogue
--- returns   { [filter] = ProtoField }
-function M.of_taurus(taurus, messages)
+-- taurus   Proto
+-- rows     of M.rows
+-- returns  { [filter] = ProtoField }
+function M.of_taurus(taurus, rows)
   local fields = {}
-  for _, message in ipairs(messages) do
-    for _, row in ipairs(message.filters) do fields[row[1]] = new_field(unpack(row, 1, 7)) end
+  for _, row in ipairs(rows) do
+    if row[1]:find("^taurus%.") then fields[row[1]] = new_field(unpack(row, 1, 7)) end
   end
   define(taurus, "taurus.", fields)
   return fields

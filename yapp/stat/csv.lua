@@ -3,8 +3,9 @@
 -- Pure Lua, 5.2 to 5.5.
 --
 -- FOLDER/motor.csv ...  time, frame, bus, source, id, seq, then the columns of the message
--- FOLDER/fields.json    the description of each column
+-- FOLDER/fields.json    the inventory, see stat.inventory
 
+local inventory = require "yapp.stat.inventory"
 local joined = require "yapp.base.joined"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
@@ -12,7 +13,6 @@ local text_of = require "yapp.message.text"
 
 local M = {}
 
-local words = output.words
 local COLUMNS = output.columns {
   { "file", type = "text", help = "the path of a table" },
   { "rows", type = "integer", help = "how many rows it has" },
@@ -70,7 +70,7 @@ local function create(self, name)
 end
 
 --- options  { folder = path or "-", chosen = compiled message where it is printed, replace =,
---          all = booleans, statistics = see M.describe }
+--          all = booleans, statistics = see stat.options }
 -- context  { dates = a stat.dates; settings = see stat.taps;
 --          make_folder = function(path) -> true if it is there; and the rest for output.print }
 -- It raises why a file cannot be written.
@@ -111,98 +111,12 @@ function Csv:add_event(event)
   to.rows = to.rows + 1
 end
 
--- The meanings of an enum's numbers, in their order: {"0":"Torque Mode","1":"Speed Mode"}.
-local function meanings(values)
-  local keys, texts = {}, {}
-  for value, text in pairs(values) do
-    local key = type(value) == "number" and ("%.0f"):format(value) or value
-    keys[#keys + 1], texts[key] = key, text
-  end
-  table.sort(keys, function(a, b) return tonumber(a) < tonumber(b) end)
-  return output.object(keys, texts)
-end
-
--- kind, bits and values are for integers only: the type, and the meaning of its numbers.
-local COLUMN_KEYS = words("name unit type filter title kind bits values")
-
-local function describe_column(column)
-  local field = column.field or {} -- common columns have none
-  local about = column.flag or field
-  local row = {
-    name = column.name,
-    unit = column.unit,
-    type = column.type,
-    filter = about.filter,
-    title = about.title,
-  }
-  if field.kind and column.type == "integer" then
-    row.kind, row.bits = field.kind, field.size * 8
-    row.values = field.values and meanings(field.values)
-  end
-  return output.object(COLUMN_KEYS, row)
-end
-
--- The values that are worked out from two fields and are no columns: "name" = "of" - "less".
-local DIFFERENCE_KEYS = words("name of less unit title")
-
-local function describe_differences(message_type)
-  local list = {}
-  for _, item in ipairs(message_type.generated) do
-    if item.is_difference then
-      list[#list + 1] = output.object(DIFFERENCE_KEYS, {
-        name = item.name,
-        of = item.a.name,
-        less = item.b.name,
-        unit = item.unit,
-        title = item.title,
-      })
-    end
-  end
-  return output.list(list)
-end
-
---- Describe the columns of all messages and statistics.
--- catalogue  compiled; version: the plugin's own, a text
--- list_of    function(message) -> its columns: the common ones, then message.text's
--- statistics list of { name, columns }, see stat.options
--- returns    JSON: { version = 1, plugin =, messages = { NAME = { title =, every = in seconds or
---            null, columns = list of { those of COLUMN_KEYS }, differences = list of { those of
---            DIFFERENCE_KEYS } } }, statistics = { NAME = { columns = see output.describe } } }
-function M.describe(catalogue, version, list_of, statistics)
-  local names, messages = {}, {}
-  for i, message_type in ipairs(catalogue.messages) do
-    local list = list_of(message_type)
-    for j, column in ipairs(list) do
-      list[j] = describe_column(column)
-    end
-    names[i] = message_type.name
-    messages[message_type.name] = output.object(words("title every columns differences"), {
-      title = message_type.title,
-      every = message_type.every,
-      columns = output.list(list),
-      differences = describe_differences(message_type),
-    })
-  end
-  local whats, described = {}, {}
-  for i, row in ipairs(statistics) do
-    whats[i] = row.name
-    described[row.name] = output.object({ "columns" }, { columns = output.describe(row.columns) })
-  end
-  return output.object(words("version plugin messages statistics"), {
-    version = 1,
-    plugin = version,
-    messages = output.object(names, messages),
-    statistics = output.object(whats, described),
-  }).json
-end
-
 --- End, see stat.answer.  A file that could not be written is EXIT_UNDECIDED.
 function Csv:finish(_, notes)
   if self.options.chosen then return end
   local context, settings, rows = self.context, self.context.settings, {}
   local function list_of(message_type) return columns_of(self, message_type) end
-  local statistics = self.options.statistics
-  self.fields:write(M.describe(settings.catalogue, settings.version, list_of, statistics) .. "\n")
+  self.fields:write(inventory.describe(settings, list_of, self.options.statistics) .. "\n")
   local problem = output.close_files(self.files)
   if problem then return output.EXIT_UNDECIDED, "csv: " .. problem end
   for i, message_type in ipairs(settings.catalogue.messages) do

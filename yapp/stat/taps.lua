@@ -32,6 +32,7 @@ Stat.__index = Stat
 -- parts  {
 --   settings   read from the preferences, {
 --     version       of the plugin; catalogue = compiled
+--     published     lists of rows for stat.inventory, { fields, experts, preferences }
 --     late          a gap of more periods is a silence
 --     sources       a message.sources; sources_text = the preference that it was read from
 --     ids           [message name] = list of the IDs that its preference has

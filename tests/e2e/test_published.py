@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""No published name vanishes or changes; a new one is a line of tests/published.txt."""
+import re
+
+import pytest
+
+import levels
+import model
+import published
+import tshark
+
+pytestmark = levels.by_route
+
+
+def test_published_names():
+    assert published.differences(published.read(), published.names(published.inventory())) == []
+
+
+def test_each_difference_is_seen():
+    """A name that vanishes, each type that changes, a new name."""
+    names = published.names(published.inventory())
+    assert {sort for sort, _ in names} == {"field", "expert", "preference", "rule", "kind", "statistic", "key", "column"}
+    for name, rest in names.items():
+        changed = {**names, name: rest + "?"}
+        assert len(published.differences(names, changed)) == 2 and len(published.differences(changed, {**names})) == 2
+    some, first = dict(names), next(iter(names))
+    del some[first]
+    assert published.differences(names, some)[0].startswith("- ") and published.differences(some, names)[0].startswith("+ ")
+
+
+def test_the_inventory_says_what_wireshark_has():
+    """Fields with their types, preferences with their defaults."""
+    load = tshark.load(tshark.PLUGIN / "yapp.lua")
+    rows = [line.split("\t") for line in tshark.run("-G", "fields", *load, plugin=False).stdout.splitlines()]
+    types = {row[2]: row[3] for row in rows if row[0] == "F" and row[2].startswith(("yapp.", "taurus."))}
+    wanted = published.of("field") | dict.fromkeys(published.of("expert"), "NONE")
+    assert types == {name: f"FT_{kind}" for name, kind in wanted.items()}
+    shown = tshark.run("-G", "currentprefs", *load, plugin=False).stdout
+    values = dict(re.findall(r"(?m)^#?(yapp\.\w+): *(.*)$", shown))
+    assert values.keys() == published.of("preference").keys()
+    for name, line in published.of("preference").items():
+        kind, _, default = line.partition(" ")
+        if kind == "range":
+            assert values[name] == (str(int(default, 0)) if default else "")
+        elif kind != "enum":
+            assert values[name] == (default.upper() if kind == "bool" else default)
+    assert values["yapp.divisor"] == "2^N - 6 (mapping)"
+    periods = ", ".join(f"{message[1]} {message.every:g} s" for message in model.MESSAGES.values() if message.every)
+    assert f"Periods: {periods}." in shown
+
+
+def test_the_vendors_names():
+    """What follows from the tables of the document is there."""
+    assert model.filters().items() <= published.of("field").items()
+    assert all(f"yapp.{message.name}_ids" in published.of("preference") for message in model.MESSAGES.values())
+
+
+def test_every_field_says_what_it_is():
+    """Title, unit and message; .special that it is there instead of a number."""
+    about = {row["name"]: row["help"] for row in published.inventory()["fields"]}
+    assert [name for name, text in about.items() if not text] == []
+    name = "taurus.motor.dc_voltage"
+    assert about[name] == 'DC Voltage in V, -128 to 128, of Motor Data (section "Taurus Motor Data")'
+    assert about[f"{name}.special"].startswith("Why there is no number") and "DC Voltage in V" in about[f"{name}.special"]
+
+
+@pytest.mark.parametrize("sort", ["rules", "kinds", "statistics", "preferences"])
+def test_every_row_says_what_it_is(sort):
+    rows = published.inventory()[sort]
+    assert all((row.get("help") or row.get("text")).strip() for row in (rows.values() if isinstance(rows, dict) else rows))
