@@ -2,7 +2,6 @@
 """Loading: by both routes, twice, from any folder; beside other plugins nothing of theirs is touched."""
 import os
 import pathlib
-import re
 import shutil
 import struct
 import uuid

@@ -6,7 +6,6 @@ import subprocess
 import pytest
 
 import levels
-import make
 import model
 import tshark
 
