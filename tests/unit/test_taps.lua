@@ -9,6 +9,7 @@ local T = {}
 local NAMES = { "gui_enabled", "Listener", "Dir", "retap_packets", "all_field_infos" }
 local MODULES = { "yapp.stat.taps", "yapp.stat.windows", "yapp.stat.run", "yapp.capture.command_line" }
 local PACKETS = 4
+local ERROR_FRAMES = "can.flags.err == 1" -- no packet is one
 local real = { exit = os.exit, stdout = io.stdout, stderr = io.stderr }
 
 local seen -- what happened, in tables by subject
@@ -57,7 +58,8 @@ end
 local function read_packets()
   for number = 1, wireshark.packets do
     for _, tap in ipairs(seen.order) do
-      if seen.taps[tap] and tap.packet then tap.packet({ number = number, rel_ts = number / 10 }, {}) end
+      local is_called = tap.packet and tap.filter ~= ERROR_FRAMES
+      if seen.taps[tap] and is_called then tap.packet({ number = number, rel_ts = number / 10 }, {}) end
     end
   end
   if wireshark.on_read then wireshark.on_read() end

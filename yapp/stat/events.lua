@@ -10,6 +10,7 @@
 --   is_unreliable  true if the past of the message is not known }
 
 local END = require("yapp.wire.can_id").END
+local buses = require "yapp.stat.buses"
 local compiler = require "yapp.message.catalogue"
 local field_kinds = require "yapp.message.field_kinds"
 local kinds = require "yapp.stat.kinds"
@@ -134,6 +135,7 @@ function M.new(settings, hand_on)
   return setmetatable({
     settings = settings,
     hand_on = hand_on,
+    bus_errors = buses.new_errors(hand_on),
     states = states, -- in the order in which they came
     by_source = memo(new_state, states),
     doubtful = {}, -- events that a `shared` behind them may explain, { event, shown_in } each
@@ -262,6 +264,7 @@ end
 --- Add an event of M.append, in the order of the capture.
 function Events:add(event)
   local source, kind = event.source, event.kind
+  if kind == "bus_errors" then return self.bus_errors:add(event) end
   local state = self.by_source[source]
   if kind == "skipped" then return add_skipped(self, state, event) end
   if kind == "undissected" then return add_undissected(self, state, event) end

@@ -13,7 +13,8 @@ local M = {}
 -- keys        in JSON, besides those of every event
 -- is_optional true if `check` without rules does not judge it (others as NAME=0)
 -- is_counted_only  true if `events` does not list it, as it is nothing that happened
--- counts_as   the kind whose rule counts it; nil if it has a rule NAME=N of its own
+-- counts_as   the kind whose rule counts it; nil if it has a rule NAME=N of its own; "none": no
+--             rule counts it
 -- amount      the key whose values the rule adds up; nil: each message counts once
 -- change      the key for the value of message.history's change of this name
 -- hides       if a fault may be hidden there: the text behind its count in "may hide faults"
@@ -109,6 +110,16 @@ M.LIST = {
     "clock",
     "the capture's own clock went back by {back} s",
     keys = "length",
+    scope = "capture",
+  },
+  { "bus", "bus {what}", keys = "what", counts_as = "none", scope = "capture" },
+  { "bus_off", "bus off", is_counted_only = true, scope = "capture" },
+  { "bus_passive", "bus passive", is_counted_only = true, scope = "capture" },
+  {
+    "bus_errors",
+    "an error frame",
+    is_optional = true,
+    is_counted_only = true,
     scope = "capture",
   },
   {

@@ -2,6 +2,7 @@
 -- -z yapp,events: all events, in the order of time; and -z yapp,faults: the faults among these,
 -- when each flag rose and fell, on which source, for how long.  Pure Lua, 5.2 to 5.5.
 
+local buses = require "yapp.stat.buses"
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
 local output = require "yapp.stat.output"
@@ -17,6 +18,9 @@ local WHEN_AND_WHO = {
   { "id" },
   { "source" },
 }
+-- JSON has it where it is, behind the other keys.
+local NEAR = { "near", type = "string", where = "text window",
+  help = "the bus events within a second of a fault, a silence or a loss" }
 local KIND = { "kind", type = "string", where = "json",
   help = "what happened: `fault`, `reboot`, `silence` and others, see statistics.md" }
 -- A line of JSON has the keys of its kind alone, see stat.kinds.
@@ -36,6 +40,7 @@ local EVENTS = output.columns(joined({ KIND }, WHEN_AND_WHO, {
   { "size", type = "integer", where = "", help = "of `unknown`: bytes of each message" },
   { "count", type = "integer", where = "", help = "how many messages or packets; null for one" },
   { "like", type = "string", where = "", help = "of `unknown`: the message that has this size" },
+  NEAR,
 }))
 local FAULTS = output.columns(joined(WHEN_AND_WHO, {
   { "message", where = "json text" },
@@ -44,6 +49,7 @@ local FAULTS = output.columns(joined(WHEN_AND_WHO, {
   { "event" },
   { "active" },
   { "help", type = "string", where = "json", help = "what the catalogue says of the flag" },
+  NEAR,
 }))
 --- The columns of both, see output.columns.
 M.COLUMNS = { events = EVENTS, faults = FAULTS }
@@ -61,13 +67,19 @@ Lists.__index = Lists
 -- options  { what = "events" or "faults" }
 -- context  { dates = a stat.dates; and the rest for output.print }
 function M.new(options, context)
-  return setmetatable({ what = options.what, context = context, list = {} }, Lists)
+  return setmetatable({
+    what = options.what,
+    context = context,
+    list = {},
+    bus_events = {},
+  }, Lists)
 end
 
 --- Add an event, see stat.answer.  Messages that were not decoded have one event for each source
 -- and size.
 function Lists:add_event(event)
   local row = kinds.BY_NAME[event.kind]
+  if event.kind == "bus" then table.insert(self.bus_events, event) end
   local is_listed = self.what == "events" and row and not row.is_counted_only
   local is_wanted = is_listed or event.kind == "fault"
   local is_repeated = event.kind == "unknown" and event.values.count > 1
@@ -77,14 +89,16 @@ function Lists:add_event(event)
 end
 
 local function row_of(self, event, ending)
-  local time = event.time
+  local time, near = event.time, buses.near(event, self.bus_events)
+  local keys = self.what == "events" and KEYS_OF_KIND[event.kind] or FAULTS.json
   local row = {
     kind = event.kind,
     frame = event.frame,
     time = time and self.context.dates:value(time),
     rel = output.seconds(time),
     details = nil,
-    keys = self.what == "events" and KEYS_OF_KIND[event.kind] or nil,
+    near = near,
+    keys = near and joined(keys, { "near" }) or keys,
   }
   for key, value in pairs(event.values) do
     row[key] = value

@@ -29,7 +29,7 @@ local INFINITE = math.huge
 local NO_VALUE = "no good message of it was decoded"
 local ALL_RESERVED = "all its values are reserved"
 local RANGE = "a range is A..B, A.. or ..B"
-local SAME_SEQ = "Seq No never changes"
+local SAME_SEQ = "Seq No is constant"
 
 -- Measures ----------------------------------------------------------------------------------------
 --

@@ -84,6 +84,16 @@ function Run:report(result)
   events.append(self.offered, result)
 end
 
+--- Take an error frame of a CAN bus, which a tap has read.
+-- event  of kinds.new_event
+function Run:add_bus_error(event)
+  if event.frame <= self.latest then
+    self.waiting[#self.waiting + 1] = event -- the tap that calls Run:packet came first
+  else
+    self.number, self.visited, self.offered = event.frame, nil, { event }
+  end
+end
+
 -- The capture's clock goes back.
 local function add_step(self, number, rel, step)
   local values = { length = output.seconds(-step), back = output.seconds(step) }

@@ -2,8 +2,11 @@
 -- Statistics in tshark (-z yapp,...): taps, output, exit codes.  Wireshark's windows are
 -- stat.windows's.  Wireshark's API.
 
+local buses_of = require "yapp.stat.buses"
 local command = require "yapp.capture.command_line"
 local joined = require "yapp.base.joined"
+local kinds = require "yapp.stat.kinds"
+local memo = require "yapp.base.memo"
 local options_of = require "yapp.stat.options"
 local output = require "yapp.stat.output"
 local preferences = require "yapp.host.preferences"
@@ -117,6 +120,18 @@ local function tap_packets(self)
   end
 end
 
+-- The tap of the error frames of CAN: Wireshark hands these to no dissector.
+local function tap_bus_errors(self)
+  local buses = self.buses
+  local sources = memo(function(bus) return { bus = buses:name(bus or nil) } end)
+  add_tap(self, "can.flags.err == 1").packet = self.counted(function(pinfo, tvb)
+    local source = sources[buses.bus_of(pinfo.number, pinfo) or false]
+    local error_frame = buses_of.read_error(tvb:raw())
+    self.current:add_bus_error(
+      kinds.new_event("bus_errors", pinfo.number, pinfo.rel_ts, source, error_frame))
+  end)
+end
+
 local function open(self)
   self.command = command.options()
   self.current, self.taps = run_of.new(self.settings, hint_of(self.command)), {}
@@ -124,6 +139,7 @@ local function open(self)
   self.headers:open()
   self.watch()
   tap_packets(self)
+  tap_bus_errors(self)
 end
 
 local function close(self)
