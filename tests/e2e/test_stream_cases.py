@@ -2,7 +2,9 @@
 """What people record of YAPP in streams: captures that showed a defect of 2.2, and relatives of each."""
 import csv
 import decimal
+import ipaddress
 import json
+import random
 import re
 import shutil
 import ssl
@@ -87,14 +89,34 @@ def test_names_of_controllers(how):
     assert found == [["192.168.1.11 0x210"], ["right"], ["192.168.1.13 0x210"]]
 
 
-@levels.by_version
+NAMED_SOURCES = {
+    "udp_named_by_address.pcap": ["192.168.1.10", "192.168.1.10:%d"],
+    "usb_named_by_device.pcap": ["usb1.6", "usb1.6.1", "usb1.6.1#rx"],
+    "uart_named_by_interface.pcapng": ["ttyS0", "ttyS0#rx"],
+}
+
+
 @PASSES
-def test_an_address_is_a_number(folder, passes):
-    """Whatever name resolution does."""
-    (folder / "hosts").write_text("192.168.1.12 motor-two\n")
-    arguments = ["-H", folder / "hosts", "-N", "n", "-o", "yapp.sources:192.168.1.12/0x210=motor:right", *passes]
-    found = tshark.fields(CASES / "udp_three_controllers.pcap", ["yapp.bus", "yapp.source"], "-c", "2", *arguments)
-    assert found == [["192.168.1.11", "192.168.1.11 0x210"], ["192.168.1.12", "right"]]
+@pytest.mark.parametrize("name", NAMED_SOURCES)
+def test_a_source_that_bears_its_name_is_not_absent(name, passes):
+    """Whichever of its bus's names the user writes; another one is absent."""
+    port = tshark.fields(CASES / name, ["udp.srcport"], "-c", "1")[0][0]
+    for bus in NAMED_SOURCES[name]:
+        bus = bus.replace("%d", port)
+        for own, code in ((bus, 0), (bus.replace("1", "2", 1) if "1" in bus else "ttyS1", 20)):
+            option = ["-o", f"yapp.sources:{own}/0x210=motor:a", "-o", "yapp.user_dlt:147"]
+            done = tshark.run("-q", "-r", CASES / name, *option, *passes, "-z", "yapp,check,absent=0", check=False)
+            assert done.returncode == code, (own, done.stdout)
+
+
+@PASSES
+def test_each_receiver_of_commands_is_a_source(passes):
+    """One socket commands three controllers, the second until 3 s."""
+    counts, events = statistics(CASES / "udp_commands_to_three.pcap", *passes)
+    addresses = [f"192.168.1.{last}" for last in (11, 12, 13)]
+    assert {bus for bus, ident in counts if ident == 0} == set(addresses)
+    assert [(row["bus"], row["id"]) for row in events if row["kind"] == "silence"] == [(addresses[1], 0)]
+    assert kinds(events) == {"silence"}
 
 
 @PASSES
@@ -117,6 +139,47 @@ def ipv6_udp(packet):
     source = bytes.fromhex("fe80") + bytes(13) + bytes([packet.origin.number])
     data = struct.pack(">HHHH", 14550, 20001, 8 + len(packet.data), 0) + packet.data
     return bytes(12) + b"\x86\xdd" + struct.pack(">IHBB", 6 << 28, len(data), 17, 64) + source + bytes(15) + b"\2" + data
+
+
+@levels.by_version
+@PASSES
+@pytest.mark.parametrize("seed", range(levels.size(1, 12)))
+def test_an_address_is_a_number(folder, seed, passes):
+    """Whatever name resolution does: names for some addresses, one of them for several."""
+    rng = random.Random(f"names {seed}")
+    zeros = [0, 0, 0, rng.getrandbits(16), rng.getrandbits(4)]
+    addresses = ["%d.%d.%d.%d" % tuple(rng.randbytes(4)) for _ in range(3)]
+    addresses += [ipaddress.IPv6Address(struct.pack(">8H", 0xFD00, *(rng.choice(zeros) for _ in range(6)), rng.getrandbits(16)))
+                  for _ in range(5)]
+    packets = [(seconds + number / 1000, Packet(data, Origin(ETHERNET, 0, number, str(address))))
+               for number, address in enumerate(addresses) for seconds, data in flight()[:4]]
+    path = written(folder, packets, from_address)
+    (folder / "hosts").write_text("".join(f"{one} drone-{rng.randrange(2)}\n" for one in addresses if rng.random() < 0.8))
+    texts = [str(address) for address in addresses]
+    parts = ",".join(f"{text}/0x210=motor:M{number}" for number, text in enumerate(texts))
+    arguments = ["-H", folder / "hosts", "-N", "n", "-o", f"yapp.sources:{parts}", *passes]
+    found = tshark.fields(path, ["yapp.bus", "yapp.source"], "-Y", "taurus.motor", *arguments)
+    assert {tuple(row) for row in found} == {(text, f"M{number}") for number, text in enumerate(texts)}
+    statistics(path, *arguments)
+
+
+@PASSES
+def test_names_of_addresses_in_the_file(passes):
+    parts = ",".join(f"192.168.1.{11 + number}/0x210=motor:{name}" for number, name in enumerate("abc"))
+    arguments = ["-o", "nameres.network_name:TRUE", "-o", f"yapp.sources:{parts}", *passes]
+    counts, events = statistics(CASES / "name_resolution.pcapng", *arguments)
+    assert {bus for bus, _ in counts} == {"192.168.1.11", "192.168.1.12", "192.168.1.13"}
+    assert raised(events) == [["192.168.1.12", "b"]] and kinds(events) == {"fault"}
+
+
+def from_address(packet):
+    address = ipaddress.ip_address(packet.origin.address)
+    data = struct.pack(">HHHH", 14550, 20001, 8 + len(packet.data), 0) + packet.data
+    if address.version == 6:
+        header = struct.pack(">IHBB", 6 << 28, len(data), 17, 64) + address.packed + bytes(15) + b"\2"
+        return bytes(12) + b"\x86\xdd" + header + data
+    header = struct.pack(">BBHIBBH", 0x45, 0, 20 + len(data), 0, 64, 17, 0) + address.packed + bytes([192, 0, 2, 9])
+    return bytes(12) + b"\x08\0" + header + data
 
 
 def test_controllers_in_ipv6(folder):

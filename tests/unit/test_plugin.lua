@@ -290,7 +290,7 @@ function T.test_what_is_read_of_preferences()
   lu.assertEquals(types.hidden, { source = false, values = true })
   lu.assertEquals({ settings.late, settings.sources_text, settings.accepts_all }, { 3, "0x210=motor:left", false })
   lu.assertEquals(settings.ids, { command = { 0 }, motor = { 528 }, health = { 512 } })
-  lu.assertEquals(select(2, settings.sources:find("can0", 0x210)), "left")
+  lu.assertEquals((select(2, settings.sources:find("can0", 0x210))), "left")
   lu.assertEquals(settings.problems, {})
   lu.assertIs(seen.made.can[5], settings)
 end

@@ -9,15 +9,20 @@ local T = {}
 local MOTOR = { id = 0x210, bus_key = 1, type = { every = 0.1, time = {} } }
 local COMMAND = { id = 0, bus_key = 1, type = { every = 0.2 } }
 
--- Find what rows { seconds, payload, source, seq, wrong crc } are copies of: their keys are 1, 2, ...; "-" for none.
+local PACKET = require("yapp.base.frame_key").PACKET
+
+-- Find what rows { seconds, payload, source, seq, wrong crc, packet } are copies of: they come in
+-- packets 1, 2, ... unless they say another; "-" for none.
 local function found(rows, is_time_real)
   local copies = copies_of.new { is_time_real = function(_, time) return not is_time_real or is_time_real(time) end }
-  local list = {}
-  for key, row in ipairs(rows) do
+  local list, rows_by_key = {}, {}
+  for i, row in ipairs(rows) do
+    local key = (row[6] or i) * PACKET + i
+    rows_by_key[key] = i
     local message = { key = key, time = row[1], payload = row[2], source = row[3] or MOTOR, seq = row[4] or 0,
       status = row[5] and "bad" or "good", transfer = { crc = row[5] } }
-    list[key] = copies:find(message, false, false) or "-"
-    lu.assertEquals(copies:find(message, true, false) or "-", list[key]) -- a revisit finds the same
+    list[i] = rows_by_key[copies:find(message, false, false)] or "-"
+    lu.assertEquals(rows_by_key[copies:find(message, true, false)] or "-", list[i]) -- a revisit finds the same
   end
   return list
 end
@@ -51,6 +56,22 @@ function T.test_messages_without_a_clock()
   lu.assertEquals(found { { 0, "a" }, { 0, "a" }, { 0, "c", other }, { 0, "c", other } }, { "-", 1, "-", "-" })
 end
 
+-- A datagram may hold several equal messages.  If it is recorded twice, each of them is.
+function T.test_messages_of_one_packet()
+  local motor, command, rows = { "a", MOTOR }, { "c", COMMAND }, {}
+  local function add_packet(number, ...)
+    for _, row in ipairs { ... } do rows[#rows + 1] = { 0, row[1], row[2], 0, nil, number } end
+  end
+  add_packet(1, motor, motor)
+  lu.assertEquals(found(rows), { "-", "-" })
+  rows = {}
+  add_packet(1, motor, command, command)
+  add_packet(2, motor, command, command)
+  lu.assertEquals(found(rows), { "-", "-", "-", 1, 2, 3 })
+  add_packet(3, motor, command, command)
+  lu.assertEquals(found(rows), { "-", "-", "-", 1, 2, 3, 1, 2, 3 })
+end
+
 -- Half the period of a fast message is less than 20 ms.
 function T.test_how_far_a_copy_may_be()
   local fast = { type = { every = 0.01, time = {} } }
@@ -63,10 +84,10 @@ function T.test_a_number_that_is_used_again()
   local function look(key, time, payload, visited)
     return copies:find({ key = key, time = time, payload = payload, source = MOTOR, seq = 0 }, visited, false)
   end
-  look(1, 0.0005, "a", false)
-  lu.assertEquals(look(2, 0.001, "a", false), 1)
-  lu.assertNil(look(2, 0.1, "b", false))
-  lu.assertNil(look(2, 0.1, "b", true))
+  look(PACKET, 0.0005, "a", false)
+  lu.assertEquals(look(2 * PACKET, 0.001, "a", false), PACKET)
+  lu.assertNil(look(2 * PACKET, 0.1, "b", false))
+  lu.assertNil(look(2 * PACKET, 0.1, "b", true))
 end
 
 -- Many messages of a source within 20 ms: the 16 latest are known.

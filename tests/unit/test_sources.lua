@@ -15,7 +15,7 @@ end
 
 -- The name that the user gave a source.
 local function name_of(s, ...)
-  return select(2, s:find(...))
+  return (select(2, s:find(...)))
 end
 
 local CATALOGUE = catalogue.compile(dofile("taurus_fields.lua"))
@@ -162,7 +162,9 @@ function T.test_ranges_that_do_not_fit()
 end
 
 function T.test_a_bus_alone_names_every_id()
-  local s, problems = parse('can0=left, "2"=right, "a, b" = c, can0/0x200=other, 0x210=motor:x, 0x300=health:')
+  local s, problems = parse('can0=left, "2"=right, "a, b" = c, can0/0x200=other, 0x210=motor:x, 0x300=health:, ' ..
+    "10.0.0.1=y, 10.0.0.2:4001=z")
+  lu.assertEquals({ name_of(s, "10.0.0.1:7", 1), name_of(s, "10.0.0.2:4001", 1) }, { "y", "z" })
   lu.assertEquals(problems, {})
   lu.assertEquals({ name_of(s, "can0", 0x7FF), name_of(s, "2", 1), name_of(s, "a, b", 1), name_of(s, "can0", 0x200),
     name_of(s, "can0", 0x210), name_of(s, "can1", 0x210) }, { "left", "right", "c", "other", "left", "x" })
@@ -208,9 +210,10 @@ function T.test_names_that_a_bus_has_with_others()
     { "uart0#rx", "both" }, { "uart0#tx", "both" }, { "uart0", "both" }, { "uart1#rx", "one" },
     { "uart1#tx", "any", "health" }, { "usb1.6.1#rx", "adapter" }, { "usb1.6.2#tx", "adapter" },
     { "usb1.7.1#rx", "endpoint" }, { "usb1.7.2#tx", "any", "health" }, { "usb1.60.1#rx", "any", "health" },
+    { "fe80::1", "six" },
   } do
-    local message = found:find(row[1], 0x210, "eth0")
-    lu.assertEquals({ name_of(found, row[1], 0x210, "eth0"), message and message.name }, { row[2], row[3] }, row[1])
+    local message, name, part = found:find(row[1], 0x210, "eth0")
+    lu.assertEquals({ name, message and message.name, part.name }, { row[2], row[3], row[2] }, row[1])
   end
   lu.assertTrue(found:names_bus("192.168.1.13:40000"))
   lu.assertFalse(found:names_bus("192.168.1.12:40000")) -- its port has no part

@@ -9,40 +9,63 @@ Addresses.__index = Addresses
 
 --- Make the addresses of a capture.
 function M.new()
-  return setmetatable({ numbers = {} }, Addresses) -- [text of Wireshark's] = as a number
+  return setmetatable({ by_name = {} }, Addresses) -- lists of { address, text = as a number }
 end
 
-local function ipv4_text(number)
-  local texts = {}
-  for i = 4, 1, -1 do
-    texts[i] = ("%d"):format(number % 256)
-    number = (number - number % 256) / 256
+local function ipv4_text(groups)
+  return table.concat(groups, ".")
+end
+
+-- Return the text of an address of IPv6, as Wireshark has it: the longest zeros are left out.
+local function ipv6_text(groups)
+  local text = ":"
+  for _, group in ipairs(groups) do text = ("%s%x:"):format(text, group) end
+  for length = 8, 2, -1 do
+    local from, to = text:find((":0"):rep(length) .. ":", 1, true)
+    if from then
+      text = text:sub(1, from - 1) .. "::" .. text:sub(to + 1)
+      break
+    end
   end
-  return table.concat(texts, ".")
+  return (text:gsub("^:([^:])", "%1"):gsub("([^:]):$", "%1"))
 end
 
--- Return an address as a number: Wireshark compares addresses by their bytes, whatever they are
--- called.  Return nil for one that is no IPv4 address.
-local function find_number(address)
-  local low, high = 0, 2 ^ 32 - 1
-  while low < high do
-    local middle = math.floor((low + high) / 2)
-    if Address.ip(ipv4_text(middle)) < address then low = middle + 1 else high = middle end
+-- Find an address among those that a text makes: Wireshark compares addresses by their bytes,
+-- whatever they are called.
+-- make, text_of  function(text) -> an address, function(groups) -> a text
+-- count, top     of the groups: their number, and the highest bit of one
+-- returns        its text, and the address made of it; nil for an address of another kind
+local function find_number(address, make, text_of, count, top)
+  local groups = {}
+  for i = 1, count do groups[i] = 0 end
+  for i = 1, count do
+    local bit = top
+    while bit >= 1 do
+      groups[i] = groups[i] + bit
+      if address < make(text_of(groups)) then groups[i] = groups[i] - bit end
+      bit = math.floor(bit / 2)
+    end
   end
-  local text = ipv4_text(low)
-  return Address.ip(text) == address and text or nil
+  local text = text_of(groups)
+  local found = make(text)
+  if found == address then return text, found end
 end
 
---- Return the text of an address, as a number if it is one of IPv4.
+--- Return the text of an address, as a number if it is one of IPv4 or IPv6.  Several addresses may
+-- have one name.
 function Addresses:text(address)
-  local text = tostring(address)
-  local number = self.numbers[text]
-  if not number then
-    local is_number = text == "" or text:find("^[%d.]+$") or text:find(":", 1, true)
-    number = not is_number and find_number(address) or text
-    self.numbers[text] = number
+  local name = tostring(address)
+  if name == "" or name:find("^[%d.]+$") or name:find(":", 1, true) then return name end
+  local list = self.by_name[name] or {}
+  self.by_name[name] = list
+  for _, known in ipairs(list) do
+    if known.address == address then return known.text end
   end
-  return number
+  local text, own = find_number(address, Address.ip, ipv4_text, 4, 128)
+  if not text then text, own = find_number(address, Address.ipv6, ipv6_text, 8, 32768) end
+  if not text then return name end
+  list[#list + 1] = { address = own, text = text }
+  return text
 end
 
 return M

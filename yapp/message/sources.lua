@@ -5,16 +5,13 @@
 --   0x213=motor:, can0/0x210-0x213=motor:M1..M4
 --
 -- A part is [BUS/]ID[+ID...]=[MESSAGE:]NAME, or BUS=NAME for every ID of a bus.  A range of IDs may
--- stand for an ID, 0x210-0x213; its names count up, M1..M4.  BUS is the name that the capture gives
--- a bus.  ID is decimal, or 0x and hexadecimal.  MESSAGE is the catalogue's short name of what the
--- ID carries.  A part without BUS is for each bus without a part of its own.  Spaces around each do
--- not count.
--- A bus stands in quotes if its name has a comma, "=" or a quote, or if it begins with a digit and
--- no ID follows.  Its own quotes are doubled: "USB, left"/0x210=motor:a.
+-- stand for an ID, 0x210-0x213; its names count up, M1..M4.  ID is decimal, or 0x and hexadecimal.
+-- MESSAGE is the catalogue's short name of what the ID carries.  A part without BUS is for each bus
+-- without a part of its own.  Spaces around each do not count.
+-- BUS is the name that statistics print, or one that it has together with others, see name_above.
+-- It stands in quotes if it has a comma, "=" or a quote.  So does one that begins with a digit, is
+-- no address and has no ID behind it.  Its own quotes are doubled: "USB, left"/0x210=motor:a.
 -- The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
--- A sender in UDP or TCP is a bus, 192.168.1.12:40000 or [fe80::1]:14550.  Without its port the
--- part holds for all ports.  Without its direction, #rx or #tx, a line's name holds for both, and
--- usb1.6, an adapter without its endpoint, holds for all of usb1.6.1#rx and usb1.6.2#tx.
 
 local input = require "yapp.base.input"
 local memo = require "yapp.base.memo"
@@ -25,6 +22,7 @@ local M = {}
 local trim = input.trim
 
 local SHAPE = "write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME"
+local IPV4 = "%d+%.%d+%.%d+%.%d+"
 
 local Sources = {}
 Sources.__index = Sources
@@ -52,7 +50,8 @@ local function split_part(part)
   local address, value = part:match("^(.-)%s*=(.*)$")
   demand(address, 'no "="', SHAPE)
   value = reveal(value)
-  if address:find("^[%d+-][^/]*$") then return nil, address, value end
+  local begins_with_id = address:find("^[%d+-]") and not address:find("^" .. IPV4)
+  if begins_with_id and not address:find("/", 1, true) then return nil, address, value end
   local bus, ids = address:match("^(.*)/([^/]*)$")
   bus = trim(bus or address)
   if bus:sub(1, 1) == '"' then
@@ -61,7 +60,7 @@ local function split_part(part)
     bus = reveal(quoted):gsub('""', '"')
   end
   demand(bus ~= "", "no bus or ID", SHAPE)
-  return bus, ids, value
+  return bus:match("^%[([^]]+)%]$") or bus, ids, value -- [fe80::1] is fe80::1
 end
 
 local function parse_id(text)
@@ -99,7 +98,7 @@ end
 
 -- Read what a part says of its IDs: "motor:left" or "left".
 -- returns  the message type and the name, nil for each that it does not give
-local function parse_value(value, ranges, catalogue)
+local function parse_value(value, ids, catalogue)
   local message_name, name = value:match("^(.-):(.*)$")
   name = trim(name or value)
   demand(name == "" or input.is_text(name), "a name that cannot be shown", "use letters")
@@ -107,7 +106,7 @@ local function parse_value(value, ranges, catalogue)
     demand(name ~= "", "no name", SHAPE)
     return nil, name
   end
-  demand(ranges, "a message for a whole bus", "name its ID, too")
+  demand(ids, "a message for a whole bus", "name its ID, too")
   message_name = trim(message_name)
   local message_type, known = input.find(catalogue.messages, message_name)
   local problem = ('no message "%s"'):format(message_name)
@@ -128,7 +127,7 @@ end
 local function add_part(self, part, catalogue)
   local bus, ids, value = split_part(part)
   local ranges = ids and parse_ids(ids)
-  local message_type, name = parse_value(value, ranges, catalogue)
+  local message_type, name = parse_value(value, ids, catalogue)
   local names = ranges and expand_names(name or "", ranges)
   local is_repeated = not ranges and add_row(self, bus, nil, nil, name)
   for _, range in ipairs(ranges or {}) do
@@ -169,11 +168,11 @@ function M.parse(text, catalogue)
   return self, problems
 end
 
--- Return a name that a bus has together with others, nil for none.
+-- Return a name that a bus has together with others, nil for none: ttyS0 of ttyS0#rx, usb1.6 of
+-- usb1.6.1, the address of a sender of UDP or TCP without its port.
 local function name_above(bus)
   return bus:match("^(.+)#[rt]x$") or bus:match("^(usb%d+%.%d+)%.%d+$") or
-    bus:match("^(%d+%.%d+%.%d+%.%d+):%d+$") or
-    bus:match("^(%[.+%]):%d+$") or bus:match("^%[(.+)%]$")
+    bus:match("^(" .. IPV4 .. "):%d+$") or bus:match("^%[(.+)%]:%d+$")
 end
 
 -- Return the rows by ID that hold for a bus: a list, those of its own name first.
@@ -186,29 +185,27 @@ local function rows_of(self, bus, interface)
   return list
 end
 
---- Return the message type that the user gave a source, and its name; nil for each that no part
--- gives.  The name is that of its ID on its bus, of its bus, or of its ID anywhere.
+--- Find what the user says of a source: the part about its ID on its bus, else about its ID
+-- anywhere.  Its name is that of its ID on its bus, of its bus, or of its ID anywhere.
 -- bus        the name that the capture gives it, or nil
 -- id         message ID
 -- interface  of a sender in UDP or TCP: the name of the interface, or nil
+-- returns    the message type, the name, the row of Sources:list; each nil for none
 function Sources:find(bus, id, interface)
-  local own, name = nil, nil
+  local row, name = nil, nil
   for _, rows in ipairs(rows_of(self, bus, interface)) do
-    local row, every = rows[id], rows.every
-    own, name = own or row, name or row and row.name or every and every.name
+    row = row or rows[id]
+    name = name or rows[id] and rows[id].name or rows.every and rows.every.name
   end
-  own = own or self.by_bus[false][id]
-  if own then return own.type, name or own.name end
-  return nil, name
+  row = row or self.by_bus[false][id]
+  return row and row.type, name or row and row.name, row
 end
 
 --- Return whether a part is about an ID on a bus, or on a bus with a name that includes that one.
 -- bus  name, nil for a part without a bus
 function Sources:has_part(bus, id)
-  for _, rows in ipairs(bus and rows_of(self, bus) or { self.by_bus[false] }) do
-    if rows[id] then return true end
-  end
-  return false
+  local row = select(3, self:find(bus, id))
+  return row ~= nil and (row.bus ~= nil or not bus)
 end
 
 --- Return whether a part names a bus, itself and not one that includes it.

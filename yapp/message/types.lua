@@ -103,7 +103,7 @@ end
 -- line     of a stream, see serial.lines; nil on CAN
 -- returns  {
 --   id, bus, bus_key, line
---   name      that the user gave it, or nil
+--   name      that the user gave it, or nil; row = of message.sources, which is about it, or nil
 --   type      the message type that it carries, or nil; size, min_size = of its payload, or nil
 --   label     the name of its messages
 --   short     the same without the source, if a column shows that
@@ -112,7 +112,7 @@ end
 --   texts     of the fragments of its messages, see show.frame }
 function Types:new_source(id, bus_key, bus, line)
   local interface = line and line.interface or nil
-  local message_type, name = self.sources:find(bus, id, interface)
+  local message_type, name, row = self.sources:find(bus, id, interface)
   message_type = message_type or self.by_id[id]
   local label = label_of(self, message_type, name, id, bus)
   return {
@@ -121,6 +121,7 @@ function Types:new_source(id, bus_key, bus, line)
     bus_key = bus_key,
     line = line,
     name = name,
+    row = row,
     type = message_type,
     size = (message_type or NONE).size,
     min_size = (message_type or NONE).min_size,

@@ -3,9 +3,11 @@
 -- at a mirror port, behind a radio that repeats.  Pure Lua.
 --
 -- A copy has the bytes of an earlier message of its source, and comes less than 20 ms and less than
--- half a period after it: a controller that hangs repeats its bytes after a whole period.  A sender
--- may repeat a message without a clock, as a Command: that is a copy only where messages with a
--- clock are recorded twice, too.
+-- half a period after it: a controller that hangs repeats its bytes after a whole period.  It is in
+-- another packet: nobody records a part of one twice.  A sender may repeat a message without a
+-- clock, as a Command: that is a copy only where messages with a clock are recorded twice, too.
+
+local number_of = require("yapp.base.frame_key").number
 
 local M = {}
 
@@ -13,9 +15,6 @@ local abs, min = math.abs, math.min
 local MAX_DISTANCE = 0.02 -- seconds
 local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
 local MAX_KEPT = 16 -- messages of a source within this time
-
-local SEQS = {} -- [Seq No] = as a character
-for seq = 0, 255 do SEQS[seq] = string.char(seq) end
 
 local Copies = {}
 Copies.__index = Copies
@@ -31,7 +30,8 @@ function M.new(capture)
   }, Copies)
 end
 
--- The latest messages of a source: a list of { key, time, text }, oldest first.
+-- The latest messages of a source: a list of { key, time, text, copied_in = number of the latest
+-- packet with a copy of it }, oldest first.
 local function new_list(source)
   local message_type = source.type
   return {
@@ -43,18 +43,25 @@ end
 
 -- Return a text that is equal for equal messages.  If the CRC is good, it follows from the bytes.
 local function text_of(message)
-  local text = SEQS[message.seq] .. message.payload
+  local text = string.char(message.seq) .. message.payload
   return message.status == "bad" and text .. message.transfer.crc or text
 end
 
 -- Find the original of a message among the latest ones of its source.
 -- returns  its frame key; nil for a message that is no copy
-local function find_in(self, list, time, text)
+local function find_in(self, list, message, text)
+  local time = message.time
   for _, kept in ipairs(list) do
     if kept.text == text and abs(time - kept.time) < list.distance then
-      if not self.capture:is_time_real(time) then return nil end
-      if list.has_clock then self.are_doubled[list.bus] = true end
-      return self.are_doubled[list.bus] and kept.key or nil
+      local number = number_of(message.key)
+      local is_inside = number_of(kept.key) == number or kept.copied_in == number
+      if not is_inside then
+        if not self.capture:is_time_real(time) then return nil end
+        if list.has_clock then self.are_doubled[list.bus] = true end
+        if not self.are_doubled[list.bus] then return nil end
+        kept.copied_in = number
+        return kept.key
+      end
     end
   end
 end
@@ -71,19 +78,14 @@ function Copies:find(message, visited, is_only_pass)
     list = new_list(message.source)
     self.by_source[message.source] = list
   end
-  local original = find_in(self, list, time, text)
+  local original = find_in(self, list, message, text)
   -- A read filter may have dropped a copy whose number this packet has.
-  if not is_only_pass and original ~= self.originals[message.key] then
-    self.originals[message.key] = original
-  end
+  if not is_only_pass then self.originals[message.key] = original end
   if original then return original end
-  local entry
   while list[1] and (abs(time - list[1].time) >= list.distance or #list == MAX_KEPT) do
-    entry = table.remove(list, 1)
+    table.remove(list, 1)
   end
-  entry = entry or {}
-  entry.key, entry.time, entry.text = message.key, time, text
-  list[#list + 1] = entry
+  list[#list + 1] = { key = message.key, time = time, text = text, copied_in = nil }
 end
 
 return M

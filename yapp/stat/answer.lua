@@ -149,10 +149,7 @@ end
 
 local function has_come(self, row)
   for source in pairs(self.came) do
-    local is_there = not row.bus or row.bus == source.bus
-    if is_there and source.id == row.id and source.name == (row.name or source.name) then
-      return true
-    end
+    if source.row == row then return true end
   end
 end
 
