@@ -133,6 +133,7 @@ return {
     id = 0x000,
     size = 7,
     every = 0.2,
+    enables = "enabled",
     info = "{enabled}, {key}  {motor_mode}  {rpm:%.1f unit}  {torque_iq:%.2f unit}",
     { "enabled", "uint8", "Enabled", values = { [0] = "Disabled", [1] = "Enabled" } },
     { "key", "uint8", "Key", invalid = "command.key.invalid",
@@ -149,6 +150,7 @@ return {
     size = 32,
     every = 0.1,
     answers = "command",
+    speed = "rpm_measured",
     info = "{rpm_commanded:%.1f}/{rpm_measured:%.1f unit}  " ..
       "{dc_voltage:%.2f unit}  {dc_current:%.2f unit}",
     info_rest = "ESC {esc_temperature:%.0f unit}  {torque_iq_measured:%.2f unit} torque",

@@ -10,10 +10,12 @@ import itertools
 import json
 import os
 import re
+import struct
 from decimal import Decimal
 
 import pytest
 
+import can_generator
 import flights
 import levels
 import model
@@ -321,6 +323,43 @@ def test_shared_sources(seed):
             assert line["frame"] < shared.get((line["bus"], line["id"]), 1 << 40), line
     done = tshark.run(*flight.arguments(form), "-q", "-r", capture, "-z", "yapp,check,shared=0", check=False)
     assert done.returncode == 20
+
+
+def frames_of_flight_with_commands(commands, speeds):
+    """A candump log: Motor Data with a raw speed each 0.1 s, and Commands [time, enabled, key]."""
+    rows = [(0.1 * index, can_generator.Sent(0x210, 0, 0, struct.pack("<6HBBIIqBB", 0, 0, 0, raw, 0, 0, 0, 0, 0, 0, index * 10**8, 1, 0)))
+            for index, raw in enumerate(speeds)]
+    rows += [(time, can_generator.Sent(0, 0, 0, struct.pack("<BBBHH", enabled, key, 1, 0, 0))) for time, enabled, key in commands]
+    lines = []
+    for time, sent in sorted(rows, key=lambda row: row[0]):
+        frames = sent.frames() if sent.msg else [sent.frame(can_generator.SINGLE, sent.payload)]
+        lines += [f"({1000 + time:.6f}) can0 {frame.can_id:08X}#{frame.data.hex().upper()}\n" for frame in frames]
+    return "".join(lines)
+
+
+def test_a_command_that_stops_a_turning_motor(tmp_path):
+    """600 counts from the middle are 1,098 rpm, 50 are 92: below a tenth.  A Command with an undefined key is ignored."""
+    log = tmp_path / "run.log"
+    middle = 32765
+    log.write_text(frames_of_flight_with_commands(
+        [(0.05, 1, 0xA5), (0.45, 0, 0x11), (0.55, 0, 0xA5), (0.75, 1, 0x5A), (1.25, 0, 0xA5), (1.45, 1, 0xA5), (1.75, 0, 0xA5)],
+        [middle - 600] * 10 + [middle + 50] * 5 + [middle + 65] * 5))
+    done = tshark.run("-q", "-r", log, "-z", "yapp,events,json", "-z", "yapp,check,json,disabled=1", check=False)
+    assert done.returncode == 20
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    found = [(row["time"], row["id"], row["message"], row["length"]) for row in rows if row.get("kind") == "disabled"]
+    assert found == [(1000.55, 0, "command", 0.2), (1001.75, 0, "command", None)]
+    assert {row["seen"] for row in rows if row.get("rule") == "disabled=1"} == {2}
+
+
+@pytest.mark.parametrize("rules, code", [(["fault=0", "crc=0"], 20), (["crc=0", "fault=0"], 20), (["motor.count=99", "crc=0"], 21),
+                                         (["crc=0", "motor.count=99"], 21), (["crc=0", "crc=0"], 0)])
+def test_several_checks_end_with_the_worst_code(rules, code):
+    """motor.count=99 is not judged where no Motor Data came: 21."""
+    name = "fault_flags" if code == 20 else "command"
+    capture = next(iter(sorted(tshark.CAPTURES.glob(f"*/{name}*.pcap*"))))
+    done = tshark.run("-q", "-r", capture, *[part for rule in rules for part in ("-z", f"yapp,check,{rule}")], check=False)
+    assert done.returncode == code, done.stdout
 
 
 # check ---------------------------------------------------------------------------------------------------------------

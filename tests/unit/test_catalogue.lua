@@ -47,7 +47,7 @@ function T.test_what_is_wrong_with_a_message_is_said()
     { { info = "{g}" }, 'message m: info names a field "g"' }, { { info = "{f unit}" }, "'unit'" },
     { { info = "{f:%y}" }, "message m: " }, { { info = "{f:%999.1f}" }, "message m: " },
     { { [1] = 5 }, "message m, field 1: " },
-    { { rate = 5 }, 'message m: unknown option "rate"; a message has answers, derived, differences, every, id,' },
+    { { rate = 5 }, 'message m: unknown option "rate"; a message has answers, derived, differences, enables, every, id,' },
     { { differences = { { "d", "f", "g", "D" } } }, 'message m: d: "g" is no field of numbers' },
     { { differences = { { "d", "f", "f" } } }, "message m: difference 1: d has no title" },
     { { derived = { { "d", "f * g", "D" } } }, 'message m: d: "g" is no field of numbers' },

@@ -15,7 +15,7 @@ function T.setUp()
 end
 function T.tearDown() events_of.append = append end
 
-local SOURCE = { key = 1, id = 1 }
+local SOURCE = { key = 1, id = 1, type = { alarms = {} } }
 local SETTINGS = { late = 2.5, ids = {}, sources_text = "", catalogue = { messages = {} },
   sources = { list = function() return {} end } }
 

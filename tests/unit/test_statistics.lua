@@ -888,6 +888,85 @@ function T.test_what_is_no_event_of_a_list()
   lu.assertEquals(run({ "faults,json" }, records), "")
 end
 
+-- A Command that disables motors which turn: random Commands and speeds on two buses against the definition.
+function T.test_disabled()
+  local catalogue = catalogue_of.compile {
+    { name = "command", title = "Command", id = 0, size = 2, enables = "on", { "on", "uint8", "On" },
+      { "key", "uint8", "Key", values = { [0xa5] = "Full" }, invalid = "command.key.invalid" } },
+    { name = "motor", title = "Motor Data", id = 0x210, size = 1, answers = "command", speed = "rpm",
+      { "rpm", "float8", "RPM", min = -125, max = 125, unit = "RPM" } },
+  }
+  local function source(bus, id, index)
+    return { bus_key = bus, bus = "can" .. bus, id = id, type = catalogue.messages[index] }
+  end
+  local ignored = { invalid = { { field = "key", value = 0, code = "0x00", effect = " (ignored)" } } }
+  local total = 0
+  for seed = 1, 60 do
+    math.randomseed(seed)
+    local records, expected = {}, {}
+    for bus = 1, 2 do
+      local sources = { source(bus, 0x210, 2), source(bus, 0x211, 2), source(bus, 0, 1) }
+      local speeds, highest, before, open = { 0, 0 }, { 0, 0 }, nil, nil
+      for frame = 1, 60 do
+        local index, at = math.random(3), frame + bus * 1000
+        if index < 3 then
+          local count = math.random(3) == 1 and math.random(0, 255) or math.random(110, 140)
+          records[#records + 1] = record(at, at, { source = sources[index], payload = string.char(count) })
+          if count <= 250 then
+            speeds[index] = math.abs(count - 125)
+            highest[index] = math.max(highest[index], speeds[index])
+          end
+        else
+          local on, is_ignored = math.random(3) > 1 and 1 or 0, math.random(5) == 1
+          records[#records + 1] = record(at, at, { source = sources[3], payload = string.char(on, 0xa5),
+            values = is_ignored and ignored or {} })
+          if not is_ignored then
+            local turns = speeds[1] * 10 > highest[1] or speeds[2] * 10 > highest[2]
+            if on == 1 and open then expected[open] = expected[open] .. at - tonumber(open:match("%d+$")) end
+            if on == 1 then open = nil end
+            if before == 1 and on == 0 and turns then
+              open = ("can%d %d"):format(bus, at)
+              expected[open] = ""
+            end
+            before = on
+          end
+        end
+      end
+    end
+    local lengths, count = {}, 0
+    for line in run({ "events,json" }, records, { catalogue = catalogue }):gmatch("[^\n]+") do
+      local frame, bus, length = line:match('"disabled".-"frame":(%d+),"bus":"(can%d)","id":0.-"length":(%w+)')
+      if frame then lengths[bus .. " " .. frame], count = length == "null" and "" or length, count + 1 end
+    end
+    lu.assertEquals(lengths, expected)
+    total = total + count
+    local most = 0
+    for bus = 1, 2 do
+      local number = 0
+      for key in pairs(expected) do number = number + (key:find("can" .. bus) and 1 or 0) end
+      most = math.max(most, number)
+    end
+    for limit, code in pairs { [most] = 0, [most - 1] = 20 } do
+      if limit >= 0 then
+        lu.assertEquals(select(2, run({ "check,disabled=" .. limit }, records, { catalogue = catalogue })), code)
+      end
+    end
+  end
+  lu.assertTrue(total > 200)
+end
+
+-- The exit code is that of the worst statistic, in any order.
+function T.test_the_worst_of_several_statistics()
+  local codes = { ["check,crc=0"] = 0, ["check,fault=0,crc=9"] = 20, ["check,note.count=1"] = 21, summary = 0 }
+  local records = { record(1, 0, { change = raised(1, 1) }) }
+  for first, one in pairs(codes) do
+    for second, other in pairs(codes) do
+      local expected = (one == 20 or other == 20) and 20 or math.max(one, other)
+      lu.assertEquals(select(2, run({ first, second }, records)), expected, first .. " " .. second)
+    end
+  end
+end
+
 -- `check` alone -----------------------------------------------------------------------------------------------------
 
 function T.test_all_is_well()

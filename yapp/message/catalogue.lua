@@ -5,6 +5,7 @@
 -- A compiled message type has
 --   name, title, id, filter ("taurus.motor"); section of a document, every (period in seconds) and
 --   answers (a message's name), or nil
+--   enables (its field that turns a motor on and off) and speed (its field with a motor's), or nil
 --   size, min_size (bytes: a shorter payload is not this message)
 --   fields, by_name, time (its first field of kind time)
 --   flag_fields (its fields of flags), alarms (those with a fault flag), fault_field (the first one
@@ -80,7 +81,8 @@ for _, size in ipairs { 1, 2, 4 } do
 end
 
 local MESSAGE_OPTIONS = set("name title section id size min_size info info_rest every answers " ..
-  "differences derived")
+  "enables speed differences derived")
+local FIELD_NAMES = { "enables", "speed" } -- options that name a field of numbers
 local FLAG_OPTIONS, DERIVED_OPTIONS = set "help alarm", set "unit"
 
 -- The lists and maps of a message type, see above.
@@ -295,6 +297,11 @@ local function compile_message(entry, reserved, context)
   demand(size == entry.size and size <= MAX_SIZE, "size is %s, but the fields add up to %d bytes",
     shown(entry.size), size)
   input.within("min_size", message_type.min_size, 1, size)
+  for _, key in ipairs(FIELD_NAMES) do
+    local field = message_type.by_name[entry[key]]
+    demand(not entry[key] or field, "%s: there is no field %q", key, entry[key])
+    message_type[key] = field
+  end
   message_type.info = text_of.compile_info(message_type, entry.info or "")
   message_type.info_rest = text_of.compile_info(message_type, entry.info_rest or entry.info or "")
   add_all_generated(message_type, entry)

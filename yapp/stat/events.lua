@@ -24,6 +24,7 @@ local M = {}
 local new_event, new_follower = kinds.new_event, kinds.new_follower
 local span, NOTHING = kinds.span, kinds.NOTHING
 local MAX_GAP = 1.5 -- periods; a longer gap has room for another message
+local TURNING = 0.1 -- share of the highest speed so far; a faster motor turns
 
 -- What an anomaly loses, by its expert item.
 local LOSSES = {
@@ -123,6 +124,12 @@ local function new_state(source)
     room_at_end = 0, -- the same behind the last one
     orphan_seq = nil, -- of a message whose Start is lost, while its frames come
     unknown_seq = nil, -- the latest, see add_undissected
+    -- Of a motor, in the unit of its message type's field `speed`:
+    speed = 0, -- the latest
+    highest = 0, -- so far
+    -- Of a Command:
+    enabled = nil, -- the latest value of its message type's field `enables`
+    disabled = nil, -- the latest event `disabled`, until motors are enabled again
     stretch = nil, -- of a line: values of its skipped bytes, while nothing else comes
   }
 end
@@ -201,6 +208,62 @@ local function add_changes(self, state, event, change)
   end
 end
 
+-- Commands ----------------------------------------------------------------------------------------
+
+local function add_speed(state, field, raws)
+  local speed = math.abs(field_kinds.number(field, raws[field.index]))
+  if speed ~= speed then return end -- a reserved value
+  state.speed, state.highest = speed, math.max(speed, state.highest)
+end
+
+-- Return the names of the motors that turn and that a source of Commands is about: those of its
+-- bus.
+local function turning_motors(self, command)
+  local names = {}
+  for _, state in ipairs(self.states) do
+    local source = state.source
+    local is_commanded = source.type and source.type.answers == command.type.name
+    local turns = state.speed > TURNING * state.highest
+    if is_commanded and turns and source.bus_key == command.bus_key then
+      names[#names + 1] = output.row(source, {}).who
+    end
+  end
+  return table.concat(names, ", ")
+end
+
+-- The event `disabled` is handed on at once; its values change when motors are enabled again.
+local function add_command(self, state, event, enabled)
+  local before, disabled = state.enabled, state.disabled
+  state.enabled = enabled
+  if enabled == 1 and disabled then
+    local length = span(disabled.time, event.time)
+    -- Equal stamps tell nothing.
+    local seconds = length > 0 and output.seconds(length) or nil
+    disabled.values.length = seconds
+    disabled.values.rest = seconds and ("enabled again after %s s"):format(seconds.short) or ""
+    state.disabled = nil
+  end
+  if before ~= 1 or enabled ~= 0 then return end
+  local motors = turning_motors(self, event.source)
+  if motors == "" then return end
+  local values = { motors = motors, length = nil, rest = "never enabled again" }
+  state.disabled = new_follower("disabled", event, values)
+  self.hand_on(state.disabled)
+end
+
+-- Add what a Command and its motors do.  A controller ignores a Command with an undefined key.
+local function add_motion(self, state, event)
+  local message_type, raws = event.source.type, event.raws
+  if event.values.is_unreliable then return end
+  if message_type.speed then add_speed(state, message_type.speed, raws) end
+  local field = message_type.enables
+  if not field then return end
+  for _, invalid in ipairs(event.values.invalid or NOTHING) do
+    if invalid.effect then return end
+  end
+  add_command(self, state, event, raws[field.index])
+end
+
 local function add_message(self, state, event)
   local last, values = state.last, event.values
   local change = values.change or NOTHING
@@ -219,6 +282,7 @@ local function add_message(self, state, event)
   for _, invalid in ipairs(values.invalid or NOTHING) do
     emit(self, "invalid", event, invalid)
   end
+  if event.raws then add_motion(self, state, event) end
   if change.faults then add_faults(self, state, event, change.faults) end
   if state.faults[1] then event.faults = state.faults end
 end

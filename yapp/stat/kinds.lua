@@ -107,6 +107,15 @@ M.LIST = {
     needs_values = true,
   },
   {
+    "disabled",
+    "a Command disables {motors} while turning: {rest}",
+    keys = "length",
+    about = "enables",
+    needs_past = true,
+    needs_values = true,
+    is_optional = true,
+  },
+  {
     "clock",
     "the capture's own clock went back by {back} s",
     keys = "length",

@@ -34,7 +34,7 @@ local EVENTS = output.columns(joined({ KIND }, WHEN_AND_WHO, {
   { "event", where = "" },
   { "active", where = "" },
   { "length", type = "seconds", unit = "s", where = "",
-    help = "of a silence, a jump or a step of the clock; of `skipped`: bytes" },
+    help = "of a silence, a jump, a step of the clock or `disabled`; of `skipped`: bytes" },
   { "what", type = "string", where = "", help = "of `incomplete`: what was wrong with it" },
   { "value", type = "text", where = "", help = "of `invalid`: what the field had" },
   { "size", type = "integer", where = "", help = "of `unknown`: bytes of each message" },

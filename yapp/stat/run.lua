@@ -208,7 +208,9 @@ function Run:finish(capture)
   local code, texts = output.EXIT_OK, {}
   for _, one in ipairs(self.answers) do
     local worse, text, notes = one:finish(ending)
-    if worse and (code == output.EXIT_OK or worse < code) then code = worse end
+    -- A rule that failed is worse than one that was not judged.
+    local is_worse = worse and worse ~= output.EXIT_OK
+    if is_worse and (code == output.EXIT_OK or worse < code) then code = worse end
     texts = joined(texts, { text }, notes)
   end
   return code, without_repeats(texts)
