@@ -475,15 +475,15 @@ end
 
 function T.test_check_ranges()
   local records = { record(1, 0), record(2, 1, { payload = payload(40) }), record(3, 2, { payload = payload(60) }) }
-  for range, expected in pairs { ["10..60"] = "true 0 null", ["10.."] = "true 0 null", ["..60"] = "true 0 null",
-    ["11..59"] = "false 2 1", ["..39.5"] = "false 2 3", ["-1e3..1E+2"] = "true 0 null" } do
+  for range, expected in pairs { ["10..60"] = "true 0 1", ["10.."] = "true 0 1", ["..60"] = "true 0 3",
+    ["11..59"] = "false 2 1", ["..39.5"] = "false 2 3", ["-1e3..1E+2"] = "true 0 3" } do
     lu.assertEquals(verdicts("motor.volts=" .. range, records)[1], ("motor.volts=%s left %s"):format(range, expected))
   end
   records[4] = record(4, 3, { payload = payload(255) }) -- a reserved count is no number
-  lu.assertEquals(verdicts("motor.volts=0..", records)[1], "motor.volts=0.. left true 0 null")
+  lu.assertEquals(verdicts("motor.volts=0..", records)[1], "motor.volts=0.. left true 0 1")
   lu.assertEquals(verdicts("motor.mode=3..3,motor.fault_flags=..0,motor.clock=4.5..4.5", records), {
-    "motor.mode=3..3 left true 0 null", "motor.fault_flags=..0 left true 0 null",
-    "motor.clock=4.5..4.5 left true 0 null", "unknown=0 null true 0 null" })
+    "motor.mode=3..3 left true 0 1", "motor.fault_flags=..0 left true 0 1",
+    "motor.clock=4.5..4.5 left true 0 1", "unknown=0 null true 0 null" })
 end
 
 -- Numbers of 64 bits that a double has not exactly are texts until they are counted.
@@ -494,7 +494,7 @@ function T.test_numbers_of_64_bits()
   local records = { record(1, 0, { source = source, payload = "\3\0\0\0\0\0\0\0" }),
     record(2, 1, { source = source, payload = ("\255"):rep(8) }) }
   local with = { catalogue = catalogue }
-  lu.assertEquals(verdicts("big.wide=0..2e19", records, with)[1], "big.wide=0..2e19 null true 0 null")
+  lu.assertEquals(verdicts("big.wide=0..2e19", records, with)[1], "big.wide=0..2e19 null true 0 1")
   lu.assertEquals(verdicts("big.wide=0..2e18", records, with)[1], "big.wide=0..2e18 null false 1 2")
   lu.assertStrContains(run({ "summary,json" }, records, with),
     '"min":3,"mean":9.2233720368547758e+18,"max":1.8446744073709552e+19')
@@ -616,10 +616,10 @@ function T.test_check_in_words()
   lu.assertEquals(run({ "check,motor.volts=20..30,motor.gap=1,note.count=1" }, { record(1, 0), record(2, 0.5) }), [[
 YAPP check: FAILED
 
-check       rule                bus   ID     source  message     frame  seen  worst  note
-FAILED      motor.volts=20..30  can0  0x210  left    Motor Data      1     2     10  of 2 values
-NOT JUDGED  note.count=1                                                             no Note came: see yapp.note_ids
-ok          motor.gap=1         can0  0x210  left    Motor Data      2   0.5
+check       rule                bus   ID     source  message     frame  seen  worst  margin     %  note
+FAILED      motor.volts=20..30  can0  0x210  left    Motor Data      1     2     10     -10  -100  of 2 values
+NOT JUDGED  note.count=1                                                                           no Note came: see yapp.note_ids
+ok          motor.gap=1         can0  0x210  left    Motor Data      2   0.5            0.5    50
 ok          unknown=0                                                      0
 
 1 of 4 rules failed, 1 not judged
@@ -628,8 +628,41 @@ end
 
 function T.test_check_in_json()
   lu.assertEquals(run({ "check,json,motor.volts=20..30,unknown=0" }, { record(1, 0) }), '{"ok":false,"rule":"motor.volts=20..30",' ..
-    '"bus":"can0","id":528,"source":"left","message":"motor","frame":1,"seen":1,"limit":"20..30","worst":10,"note":"of 1 values"}\n' ..
-    '{"ok":true,"rule":"unknown=0","bus":null,"id":null,"source":null,"message":null,"frame":null,"seen":0,"limit":0,"worst":null,"note":null}\n')
+    '"bus":"can0","id":528,"source":"left","message":"motor","frame":1,"seen":1,"limit":"20..30","worst":10,"margin":-10,"percent":-100,"note":"of 1 values"}\n' ..
+    '{"ok":true,"rule":"unknown=0","bus":null,"id":null,"source":null,"message":null,"frame":null,"seen":0,"limit":0,"worst":null,"margin":null,"percent":null,"note":null}\n')
+end
+
+-- What held by the least margin comes first; below 5 % of the range, or of the only limit, it says so.
+function T.test_margins()
+  local records = { record(1, 0, { payload = payload(10) }), record(2, 1, { payload = payload(40) }) }
+  local printed = run({ "check,motor.volts=0..100,motor.volts=..41,motor.volts=9.9..,motor.mode=3..3,motor.volts.mean=20..40" }, records)
+  local found = {}
+  for row in printed:gmatch("\nok +([^\n]*)") do found[#found + 1] = row:gsub(" +", " ") end
+  lu.assertEquals(found, { "motor.volts=9.9.. can0 0x210 left Motor Data 1 0 10 0.1 1.01 of 2 values, close to its limit",
+    "motor.volts=..41 can0 0x210 left Motor Data 2 0 40 1 2.44 of 2 values, close to its limit",
+    "motor.volts=0..100 can0 0x210 left Motor Data 1 0 10 10 10 of 2 values",
+    "motor.volts.mean=20..40 can0 0x210 left Motor Data 25 5 25 of 2 values",
+    "motor.mode=3..3 can0 0x210 left Motor Data 1 0 3 of 2 values", "unknown=0 0" })
+  with_folder(function(folder)
+    run({ "check,motor.volts=..41,motor.volts=..39,junit=" .. folder .. "/x.xml" }, records)
+    lu.assertStrContains(read(folder .. "/x.xml"),
+      "<system-out>seen 0, worst 40, margin 1, percent 2.44, note of 2 values, close to its limit, frame 2</system-out>")
+    lu.assertStrContains(read(folder .. "/x.xml"), '<failure message="seen 1, worst 40, margin -1, percent -2.56, note of 2 values, frame 2"/>')
+  end)
+end
+
+-- 1 of 4 values lies outside the points; between them the limit is 10 at 3 V, 20 at 5 V and so 15 at 4 V.
+function T.test_limits_over_another_field()
+  local records = {}
+  for i, volts in ipairs { 3, 4, 5, 6 } do records[i] = record(i, i, { payload = payload(volts, 0, 3) }) end
+  local printed, code = run({ "check,json,motor.volts.over(volts)=3:..10;5:..20" }, records)
+  lu.assertEquals(code, 0)
+  lu.assertStrContains(printed, '"frame":1,"seen":0,"limit":"3:..10;5:..20","worst":3,"margin":7,"percent":70,' ..
+    '"note":"of 3 values, 25 % more not judged: volts outside the points"')
+  lu.assertEquals(verdicts("motor.mode.over(volts)=3:..4;5:..2", records)[1], "motor.mode.over(volts)=3:..4;5:..2 left false 1 3")
+  printed, code = run({ "check,motor.mode.over(volts)=7:..4;8:..2" }, records)
+  lu.assertEquals(code, 21)
+  lu.assertStrContains(printed, "volts was never within 7:..4;8:..2")
 end
 
 function T.test_a_report_for_ci()
@@ -742,7 +775,7 @@ function T.test_reserved_values()
   local records = { record(1, 0, { payload = payload(10) }), record(2, 1, { payload = payload(255) }),
     record(3, 2, { payload = payload(12) }), record(4, 3, { payload = payload(11) }) }
   lu.assertEquals(verdicts("motor.volts=10..12,motor.volts=..11,motor.volts.special=0.25,motor.volts.special=0.2", records), {
-    "motor.volts=10..12 left true 0 null", "motor.volts=..11 left false 1 3",
+    "motor.volts=10..12 left true 0 1", "motor.volts=..11 left false 1 3",
     "motor.volts.special=0.25 left true 0.25 null", "motor.volts.special=0.2 left false 0.25 null",
     "unknown=0 null true 0 null" })
   local none = { record(1, 0, { payload = payload(255) }) }
@@ -815,7 +848,7 @@ end
 -- Each rule about values but that of all sources is not judged, and says why, if its source has no good message.
 function T.test_rules_without_a_value()
   local rules = { gap = "motor.gap=1", range = "motor.volts=1..2", mean = "motor.volts.mean=1..2",
-    ratio = "motor.volts.ratio=1..2", special = "motor.volts.special=0.5" }
+    ratio = "motor.volts.ratio=1..2", special = "motor.volts.special=0.5", over = "motor.volts.over(mode)=0:1..2;3:1..2" }
   for _, row in ipairs(measures_of.LIST) do
     if row.name ~= "count" and row.name ~= "rate" and row.scope ~= "capture" then
       local printed, code = run({ "check,source=left,crc=9," .. rules[row.name] }, { bad(1, 0) })
@@ -1358,6 +1391,9 @@ function T.test_names_cannot_collide()
     end
     lu.assertEquals(rule_of(("%s.%s.value=3..4"):format(name, name)).field, field)
     lu.assertEquals(rule_of(("%s.%s.spread=3"):format(name, name)).kind.name, "spread")
+    rule = rule_of(("%s.%s.over(%s)=1:2..3;4:5..6 when=%s=7 for=8"):format(name, name, name, name))
+    lu.assertEquals({ rule.kind.name, rule.field, rule.other, rule.condition.tests[1].field, rule.hold },
+      { "over", field, field, field, 8 })
     if kinds_of.BY_NAME[name] and not kinds_of.BY_NAME[name].counts_as then
       lu.assertEquals(rule_of(name .. "=0").kind.name, name) -- the kind of event, whatever messages are called
     end
@@ -1510,7 +1546,8 @@ function T.test_packets_without_time_stamps()
   local with = { lacks_times = true }
   local records = { record(1, 0), record(2, 0, { change = { stale = true, jump = 2 } }) }
   local judged = {}
-  for _, rule in ipairs { "silence=0", "motor.rate=1", "motor.rate=..9", "motor.gap=1", "motor.volts.spread=1", "stale=0", "jump=0" } do
+  for _, rule in ipairs { "silence=0", "motor.rate=1", "motor.rate=..9", "motor.gap=1", "motor.volts.spread=1", "stale=0", "jump=0",
+    "motor.volts=..1 for=1", "motor.volts=..1 when=mode=3 after=1" } do
     local printed, code = run({ "check," .. rule }, records, with)
     lu.assertEquals(code, 21, rule)
     lu.assertStrContains(printed, "packets of this capture have no time stamps")
@@ -1550,7 +1587,7 @@ function T.test_derived_values()
   local with = { catalogue = catalogue }
   lu.assertStrContains(run({ "summary,json" }, records, with), '"e":{"min":1,"mean":1,"max":1},"p":{"min":12,"mean":21,"max":30}}')
   lu.assertEquals(verdicts("m.p=13..,m.p=..30,m.e=2..", records, with),
-    { "m.p=13.. null false 1 1", "m.p=..30 null true 0 null", "m.e=2.. null false 2 1",
+    { "m.p=13.. null false 1 1", "m.p=..30 null true 0 2", "m.e=2.. null false 2 1",
     "unknown=0 null true 0 null" })
 end
 
@@ -1566,8 +1603,11 @@ function T.test_options()
   lu.assertEquals(read_options("csv,-,motor,all").chosen, MOTOR)
   lu.assertEquals(read_options("check,crc=0,junit=a=b.xml").junit, "a=b.xml")
   options = read_options("check, fault = 0 ,motor.volts = 1 .. 2 , filter = a == 1")
-  lu.assertEquals({ options.rules[1].text, options.rules[2].text, options.rules[2].range.high, options.filter, options.problems },
+  lu.assertEquals({ options.rules[1].text, options.rules[2].text, options.rules[2].limits.high, options.filter, options.problems },
     { "fault=0", "motor.volts=1..2", 2, " a == 1", {} })
+  options = read_options("check, motor.volts = 1 .. 2  when = fault.hot & ! fault.stall  after = 1")
+  lu.assertEquals({ options.rules[1].text, options.rules[1].limit, options.problems },
+    { "motor.volts=1..2 when=fault.hot&!fault.stall after=1", "1..2", {} })
   lu.assertEquals({ read_options("csv, a b , all").folder, read_options("summary , json").json }, { "a b", true })
 end
 
@@ -1620,7 +1660,22 @@ function T.test_wrong_options_are_named()
     ["check,junit="] = "junit=: it is empty",
     ["check,rules="] = "rules=: it is empty",
     ["check,rules=none.txt"] = "rules=none.txt: none.txt: No such file or directory",
-    ["check,crc=1 0"] = 'crc=1 0: "1 0" is not a number for crc',
+    ["check,crc=1 0"] = "crc=1 0: 0 is none of what may follow a rule: when, after, for",
+    ["check,crc=1 for=1"] = "crc=1 for=1: for= is for rules about values, such as motor.dc_voltage=40..55",
+    ["check,motor.volts=..3 wen=x"] = "motor.volts=..3 wen=x: wen=x is none of what may follow a rule: when, after, for",
+    ["check,motor.volts=..3 after=x"] = 'motor.volts=..3 after=x: "x" is not a number for after',
+    ["check,motor.volts=..3 for=1 for=1"] = "motor.volts=..3 for=1 for=1: for= stands twice",
+    ["check,motor.volts.mean=..3 for=1"] = "motor.volts.mean=..3 for=1: mean is of all values: for= is for ranges and over",
+    ["check,motor.volts=..3 when=fault.hto"] = 'motor.volts=..3 when=fault.hto: motor has no flag "fault.hto", ' ..
+      "but fault.hot, fault.stall; of a field, give a number or a range",
+    ["check,motor.volts=..3 when=fault.hot=1"] = "motor.volts=..3 when=fault.hot=1: fault.hot is a flag: write it without a value",
+    ["check,motor.volts=..3 when=!mode=3"] = "motor.volts=..3 when=!mode=3: ! is for flags",
+    ["check,motor.volts=..3 when=mod=3"] = 'motor.volts=..3 when=mod=3: motor has no field "mod", but volts, fault_flags, mode, clock',
+    ["check,motor.volts.over(mod)=0:1..2;3:1..2"] = 'motor.volts.over(mod)=0:1..2;3:1..2: motor has no field "mod", ' ..
+      "but volts, fault_flags, mode, clock",
+    ["check,motor.volts.over(mode)=0:1..2"] = "motor.volts.over(mode)=0:1..2: the points are X:A..B;X:A..B, two or more",
+    ["check,motor.volts.over(mode)=3:1..2;0:1..2"] = "motor.volts.over(mode)=3:1..2;0:1..2: 0 does not lie above 3",
+    ["check,motor.volts.over(mode)=0:1..2;3:1.."] = "motor.volts.over(mode)=0:1..2;3:1..: a limit is of all points, or of none",
   }
   for text, problem in pairs(expected) do
     lu.assertEquals(options_of.parse("yapp," .. text, CATALOGUE).problems[1], problem)

@@ -2,8 +2,10 @@
 -- -z yapp,check: rules that a capture must keep, the exit code of a gate, a test report for CI.
 -- Pure Lua, 5.2 to 5.5.
 
+local field_kinds = require "yapp.message.field_kinds"
 local groups = require "yapp.stat.groups"
 local joined = require "yapp.base.joined"
+local judge = require "yapp.stat.judge"
 local output = require "yapp.stat.output"
 local rules = require "yapp.stat.rules"
 local utf8 = require "yapp.base.utf8"
@@ -48,26 +50,35 @@ local COLUMNS = output.columns {
   { "seen", type = "number", help = "what was seen" },
   { "limit", type = "text", where = "json", help = "a number, or a text such as `9..11`" },
   { "worst", type = "number",
-    help = "the value that is farthest outside" },
+    help = "the value that is nearest to a limit, or farthest outside" },
+  { "margin", type = "number",
+    help = "how far it lies within the limit, in the field's unit; negative outside" },
+  { "percent", type = "number", unit = "%", title = "%",
+    help = "the margin in percent of the range, or of the only limit" },
   { "note", type = "text", help = "why, or what else to know" },
 }
 --- The columns, see output.columns.
 M.COLUMNS = COLUMNS
 
 local NONE = "no message came that this rule applies to"
+local CLOSE = 5 -- percent of the range: what held by less is marked
 
 local Check = groups.class { lists_problems = true }
 
 --- See groups.class.
 M.new = Check.new
 
---- Return the values of a message type that rules are about.
+--- Return the plan of a message type, see stat.judge.
 function Check:wants(message_type)
-  local list = {}
-  for _, rule in ipairs(self.options.rules) do
-    if rule.field and rule.message == message_type then list[#list + 1] = rule end
-  end
-  return list
+  return judge.plan(self.options.rules, message_type)
+end
+
+function Check:new_values(plan)
+  return judge.new(plan, self.spreads)
+end
+
+function Check:add_values(group, event, longest) -- luacheck: no self
+  judge.add(group.values, event, longest)
 end
 
 -- Judging -----------------------------------------------------------------------------------------
@@ -103,8 +114,10 @@ end
 -- Why a rule cannot be judged, whatever was seen; nil for no reason.
 -- ok           FAILED if it does not seem to hold
 -- is_exceeded  true if the value is above the limit
-local function reason_of(kind, group, ending, ok, is_exceeded)
-  if kind.needs_time and ending.lacks_times then
+local function reason_of(rule, group, ending, ok, is_exceeded)
+  local kind, condition = rule.kind, rule.condition
+  local needs_time = kind.needs_time or rule.hold > 0 or condition and condition.after > 0
+  if needs_time and ending.lacks_times then
     return ending.lacks_times
   end
   if ending.unread and (kind.can_fall or not is_exceeded) then return ending.unread end
@@ -120,28 +133,49 @@ local function add_row(self, row)
   table.insert(self.rows, row)
 end
 
+-- Return how far a value lies within its limits, and in percent of their range, or of the only one.
+local function margin_of(value, low, high)
+  local range = high - low
+  if range == math.huge then range = math.abs(high < math.huge and high or low) end
+  local margin = tonumber(("%.12g"):format(math.min(value - low, high - value)))
+  return margin, range > 0 and range < math.huge and margin / range * 100 or nil
+end
+
+-- Set the margin of a row whose rule was judged: of numbers, not of counts and codes.
+-- found  of a measure
+local function set_margin(row, rule, found)
+  local one = found or { value = row.seen, low = rule.low, high = rule.high }
+  row.worst = found and found.value
+  if rule.kind.is_count or found and not field_kinds.is_number(rule.field) then return end
+  local margin, percent = margin_of(one.value, one.low, one.high)
+  row.margin, row.percent = margin, percent and tonumber(("%.3g"):format(percent))
+  if row.ok == OK and percent and percent < CLOSE then
+    row.note = row.note and row.note .. ", close to its limit" or "close to its limit"
+  end
+end
+
 -- Add the verdict on a rule.
 -- seen ...  of a measure
-local function add_verdict(self, rule, group, seen, frame, note, worst)
+local function add_verdict(self, rule, group, seen, frame, note, found)
   local shown = seen and tonumber(("%.12g"):format(seen)) -- 10, not 9.9999999999999982
   local ok = seen and shown >= rule.low and shown <= rule.high and OK or FAILED
   local is_exceeded = seen and shown > rule.high
-  local reason = reason_of(rule.kind, group, self.ending, ok, is_exceeded)
-  local limit = rule.text:match("=(.*)$")
+  local reason = reason_of(rule, group, self.ending, ok, is_exceeded)
   if reason or not seen then ok = UNJUDGED end
-  add_row(self, output.row(group.source or { name = rule.source }, {
+  local row = output.row(group.source or { name = rule.source }, {
     ok = ok,
     rule = rule.text,
-    limit = tonumber(limit) or limit,
+    limit = tonumber(rule.limit) or rule.limit,
     seen = seen,
     frame = frame,
     note = reason or note,
-    worst = worst,
-  }))
+  })
+  if ok ~= UNJUDGED then set_margin(row, rule, found) end
+  add_row(self, row)
 end
 
 -- Add the rows of a rule: one for each of its sources, or one in all.
-local function judge(self, rule)
+local function judge_rule(self, rule)
   local measure, about = rules.measure, {}
   if rule.kind.scope == "capture" then
     about[1] = self.capture
@@ -174,7 +208,9 @@ local function case_of(row)
   for _, key in ipairs { "bus", "id", "source" } do
     if row.id and row[key] then name = name .. " " .. output.text(row[key]) end
   end
-  for _, key in ipairs(row.ok == OK and { "note" } or { "seen", "worst", "note", "frame" }) do
+  local keys = { "seen", "worst", "margin", "percent", "note", "frame" }
+  if row.ok == OK and not row.margin then keys = { "note" } end
+  for _, key in ipairs(keys) do
     if row[key] then texts[#texts + 1] = key .. " " .. output.text(row[key]) end
   end
   local text = texts[1] and row.ok.case:format(escape(table.concat(texts, ", "))) or ""
@@ -199,7 +235,7 @@ function Check:finish(ending, notes)
   local counts = { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
   local problems = joined(ending.problems, options.problems)
   self.ending, self.rows, self.counts = ending, {}, counts
-  for _, rule in ipairs(options.rules) do judge(self, rule) end
+  for _, rule in ipairs(options.rules) do judge_rule(self, rule) end
   local judged = joined(self.rows)
   for _, text in ipairs(problems) do add_row(self, { ok = UNJUDGED, note = text }) end
   local problem = write_report(self)
@@ -209,7 +245,11 @@ function Check:finish(ending, notes)
   end
   local rows = options.json and judged or self.rows
   local verdict = counts[FAILED] > 0 and FAILED or counts[UNJUDGED] > 0 and UNJUDGED or OK
-  if not options.json then output.sort(rows, function(row) return row.ok.order end) end
+  if not options.json then
+    output.sort(rows, function(row)
+      return row.ok.order, row.ok == OK and row.percent or math.huge
+    end)
+  end
   output.print(context, "YAPP check: " .. verdict.title, COLUMNS, rows, notes)
   if not options.json then
     local shape = "\n%d of %d rules failed, %d not judged\n"

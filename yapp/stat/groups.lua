@@ -3,6 +3,7 @@
 -- one message, how far their values lie apart.  Pure Lua, 5.2 to 5.5.
 
 local field_kinds = require "yapp.message.field_kinds"
+local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
@@ -15,31 +16,33 @@ local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
 local NO_EVENTS = { seen = 0, values = kinds.NOTHING } -- a count: to be read only
 
--- A number with the digits that people see.
-local function round(field, value)
+--- Return a number with the digits that people see.
+function M.round(field, value)
   local shape = field.shape
   return shape and tonumber(shape:format(value)) or value -- NaN stays
+end
+local round = M.round
+
+--- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent;
+-- NaN for a reserved value, nil where the message does not have the field.
+function M.number_in(field, raws)
+  if not field.index then return field_kinds.value(field, raws) end -- worked out from others
+  local raw = raws[field.index]
+  return raw and number_of(field, raw)
 end
 
 -- Values ----------------------------------------------------------------------------------------
 
 -- Make the record of a field of a source.
--- want  see Groups:wants
-local function new_values(want, spread)
-  local field, range = want.field, want.range
+local function new_values(field, spread)
   return {
     field = field,
-    index = field.index or false, -- a derived value has none
     -- The highest raw value that is a number, where raw values are gathered: see add_values.
-    ordinary = not (spread or range) and field_kinds.linear_top(field) or false,
-    range = range, -- limits of each number, or nil
-    seen = 0, -- number of all values
+    ordinary = not spread and field_kinds.linear_top(field) or false,
     count = 0, -- of numbers, whose least, sum and largest follow, or those of raw values
     min = INFINITE,
     sum = 0.0,
     max = -INFINITE,
-    outside = 0, -- number of those beyond the limits
-    by = 0, -- how far the worst of these is beyond; worst = this value, frame = its frame
     spread = spread, -- of all sources, where they are compared
     latest = NO_NUMBER, -- number
     latest_at = nil, -- when it came
@@ -53,22 +56,11 @@ local function add_number(values, value)
   if value > values.max then values.max = value end
 end
 
-local function judge_number(values, value, frame)
-  local range = values.range
-  if value >= range.low and value <= range.high then return end
-  value = round(values.field, value)
-  local by = math.max(range.low - value, value - range.high)
-  if by <= 0 then return end
-  values.outside = values.outside + 1
-  if by > values.by then
-    values.by, values.worst, values.frame = by, value, frame
-  end
-end
-
--- Find how far the latest values of all sources lie apart: the largest spread so far, and the event
--- that shows it.  Needs values of two sources at one time.
+--- Find how far the latest values of all sources lie apart: the largest spread so far, and the
+-- event that shows it.  Needs values of two sources at one time.
+-- values   { field, spread, latest, latest_at }, see new_values
 -- longest  seconds for which a value stays valid
-local function update_spread(values, value, event, longest)
+function M.update_spread(values, value, event, longest)
   local spread, low, high, count = values.spread, INFINITE, -INFINITE, 0
   values.latest, values.latest_at = round(values.field, value), event.time
   for _, member in ipairs(spread.members) do
@@ -97,30 +89,25 @@ end
 --   gap_min, gap_max = seconds, gap_max_frame
 --   silent = how long it has been silent at the capture's end, if that is a silence
 --   is_unreliable = true if one of them had an unreliable history
---   values = a list, also by entry of Groups:wants }
+--   values = of Groups:new_values }
 local function new_group(self, source)
-  local message_type, all = source.type, {}
-  for i, want in ipairs(self.wanted[message_type or false] or kinds.NOTHING) do
-    local spread = want.is_spread and self.spreads[want]
-    local values = new_values(want, spread)
-    if spread then table.insert(spread.members, values) end
-    all[i], all[want] = values, values
-  end
+  local wanted = self.wanted[source.type or false]
   return {
     source = source,
-    type = message_type,
+    type = source.type,
     counts = {},
     count = 0,
     decoded = 0,
-    values = all,
+    values = wanted and self:new_values(wanted) or kinds.NOTHING,
   }
 end
 
 local Groups = {}
 
 --- Make a class of statistics that gather by source.
--- class    its own methods, see stat.answer; wants, if it gathers other fields than all that are
---          numbers; compares = true if it gathers their spreads, too
+-- class    its own methods, see stat.answer; wants, new_values and add_values, if it gathers other
+--          values than those of all fields that are numbers; compares = true if it gathers their
+--          spreads, too
 -- returns  it, with class.new(options, context), which makes a statistic:
 --   options  of stat.options
 --   context  { dates = a stat.dates; settings = see stat.taps; and the rest for output.print }
@@ -136,7 +123,7 @@ function M.class(class)
       capture = { counts = {} }, -- a group: the events of the whole capture
       absent = {}, -- by source: true if none of its messages came
       wanted = {}, -- by message type: see Groups:wants
-      spreads = memo(new_spread), -- by entry of Groups:wants
+      spreads = memo(new_spread), -- by field, or by rule
     }, class)
     self.by_source = memo(function(source) return new_group(self, source) end, list)
     for _, message_type in ipairs(context.settings.catalogue.messages) do
@@ -147,17 +134,23 @@ function M.class(class)
   return setmetatable(class, { __index = Groups })
 end
 
---- Return the values of a message type that are gathered: here numbers that are no codes.
--- returns  a list of { field, range = limits of each number, { low, high }, or nil, is_spread =
---          true if the spread of all sources is gathered }
-function Groups:wants(message_type)
+--- Return the fields of a message type whose values are gathered: here numbers that are no codes.
+function Groups:wants(message_type) -- luacheck: no self
   local list = {}
-  for _, fields in ipairs { message_type.fields, message_type.generated } do
-    for _, field in ipairs(fields) do
-      if field_kinds.is_number(field) then
-        list[#list + 1] = { field = field, is_spread = self.compares }
-      end
-    end
+  for _, field in ipairs(joined(message_type.fields, message_type.generated)) do
+    if field_kinds.is_number(field) then list[#list + 1] = field end
+  end
+  return list
+end
+
+--- Make the values of a source.
+-- wanted  of Groups:wants
+function Groups:new_values(wanted)
+  local list = {}
+  for i, field in ipairs(wanted) do
+    local spread = self.compares and self.spreads[field]
+    list[i] = new_values(field, spread)
+    if spread then table.insert(spread.members, list[i]) end
   end
   return list
 end
@@ -176,30 +169,18 @@ local function count_event(group, kind, event, amount)
   count.cause = cause
 end
 
--- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent; NaN
--- for a reserved value, nil where the message does not have the field.
-local function number_in(values, raws)
-  local raw = raws[values.index]
-  if not values.index then return field_kinds.value(values.field, raws) end
-  return raw and number_of(values.field, raw)
-end
-
-local function add_values(self, group, event)
-  local every, raws = group.type.every, event.raws
-  local longest = every and self.context.settings.late * every or INFINITE
+--- Add the values of a message.
+-- longest  seconds for which a value stays valid
+function Groups:add_values(group, event, longest) -- luacheck: no self
+  local raws = event.raws
   for _, values in ipairs(group.values) do
     -- Where numbers grow with raw values, M.row works out the numbers of the least, the sum and the
     -- largest of these: this halves the time of a summary's values.
-    local value = values.ordinary and raws[values.index]
-    if not values.ordinary then value = number_in(values, raws) end
-    if value then
-      values.seen = values.seen + 1
-      if value <= (values.ordinary or INFINITE) then -- false for NaN
-        add_number(values, value)
-        if values.range then judge_number(values, value, event.frame) end
-      end
-    end
-    if values.spread then update_spread(values, value or NO_NUMBER, event, longest) end
+    local field, ordinary = values.field, values.ordinary
+    local value = ordinary and raws[field.index]
+    if not ordinary then value = M.number_in(field, raws) end
+    if value and value <= (ordinary or INFINITE) then add_number(values, value) end -- no NaN
+    if values.spread then M.update_spread(values, value or NO_NUMBER, event, longest) end
   end
 end
 
@@ -219,7 +200,8 @@ local function add_message(self, event)
   group.is_unreliable = group.is_unreliable or event.values.is_unreliable
   if not event.raws then return end
   group.decoded = group.decoded + 1
-  add_values(self, group, event)
+  local every = group.type.every
+  self:add_values(group, event, every and self.context.settings.late * every or INFINITE)
 end
 
 --- Add an event, see stat.answer.  A fault counts when it rises.

@@ -30,12 +30,6 @@ local function attempt(options, part, call, catalogue)
   table.insert(options.problems, ("%s%s: %s"):format(options.line, part, why))
 end
 
--- Return a part without the blanks around the first of these signs.
-local function without_blanks(part, sign)
-  local from, to = part:find(sign, 1, true)
-  return from and trim(part:sub(1, from - 1)) .. sign .. trim(part:sub(to + 1)) or part
-end
-
 local parse_check
 
 local function add_rule(options, text, catalogue, source)
@@ -68,8 +62,7 @@ local function read_rules(options, path, catalogue)
 end
 
 function parse_check(options, part, catalogue)
-  part = without_blanks(without_blanks(part, "="), "..")
-  local name, value = part:match("^(%w+)=(.*)$")
+  local name, value = part:match("^(%w+)%s*=%s*(.*)$")
   if name == "junit" or name == "source" or name == "rules" then
     demand(value ~= "", "it is empty")
     if name == "source" then

@@ -3,21 +3,27 @@
 -- errors, the help and the verdicts follow from the rows.  Pure Lua, 5.2 to 5.5.
 --
 -- A rule is {
---   text     as the user wrote it
+--   text     as the user wrote it; limit = its part behind the first =
 --   source   name of the source that it is about, nil for all
 --   kind     a row of stat.kinds, or of the measures below
 --   low, high  the limits of what its measure returns
 --   message, field  compiled, nil for a rule about none
---   range    limits of each value of the field, { low, high }, where the measure counts the values
---            outside
+--   limits   of each value of the field, { low, high }, where the measure counts those outside; or
+--            of `over`: other = a field, points = list of { x = its value, low, high }
+--   condition  of the messages that it judges, nil for all: {
+--     text     as the user wrote it
+--     tests    list of { field, mask, is_not } for a flag, { field, low, high } for a number
+--     after    seconds for which they must have held }
+--   hold     seconds for which values must be outside
 --   is_spread  true if it is about the spread of all sources
 --   is_default  true if it stands for `check` without rules }
--- A rule about a field is an entry of Groups:wants, too.
+-- Its values are those of stat.judge.
 
 local field_kinds = require "yapp.message.field_kinds"
 local groups = require "yapp.stat.groups"
 local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
+local judge = require "yapp.stat.judge"
 local kinds = require "yapp.stat.kinds"
 local output = require "yapp.stat.output"
 
@@ -26,15 +32,17 @@ local M = {}
 local demand, decimal, find = input.demand, input.decimal, input.find
 
 local INFINITE = math.huge
-local NO_VALUE = "no good message of it was decoded"
-local ALL_RESERVED = "all its values are reserved"
+local NO_VALUE = judge.NO_VALUE
+local ALL_RESERVED = judge.ALL_RESERVED
 local RANGE = "a range is A..B, A.. or ..B"
+local POINTS = "the points are X:A..B;X:A..B, two or more"
 local SAME_SEQ = "Seq No is constant"
 
 -- Measures ----------------------------------------------------------------------------------------
 --
 -- A measure is a function(group, rule, check), which returns the value to judge, its frame, a note,
--- and the value that is farthest outside.  If there is none to judge: nil, nil, why.
+-- and of stat.judge the value that is nearest to a limit, or farthest outside.  If there is none to
+-- judge: nil, nil, why.
 
 local function measure_rate(group)
   local rate = groups.rate(group) or group.count == 1 and 0 or nil
@@ -58,26 +66,26 @@ local function has_special(check, group, field)
   end
 end
 
-local function measure_range(group, rule, check)
-  local values = group.values[rule]
-  if values.seen == 0 then return nil, nil, NO_VALUE end
+local function measure_values(group, rule, check)
+  local values, why = group.values[rule], judge.explain(group.values, rule)
+  if why then return nil, nil, why end
   if values.count == 0 and not has_special(check, group, rule.field) then
     return nil, nil, ALL_RESERVED
   end
-  return values.outside, values.frame, ("of %d values"):format(values.seen), values.worst
+  local found = values.outside > 0 and values.worst or values.nearest -- empty if all are reserved
+  return values.outside, found.frame, judge.describe(values), found.value and found
 end
 
 local function measure_special(group, rule)
-  local values = group.values[rule]
-  if values.seen == 0 then return nil, nil, NO_VALUE end
+  local values, why = group.values[rule], judge.explain(group.values, rule)
+  if why then return nil, nil, why end
   return (values.seen - values.count) / values.seen, nil, ("of %d values"):format(values.seen)
 end
 
 local function measure_mean(group, rule)
-  local values = group.values[rule]
-  if values.seen == 0 then return nil, nil, NO_VALUE end
-  if values.count == 0 then return nil, nil, ALL_RESERVED end
-  return groups.row(group, values).mean, nil, ("of %d values"):format(values.count)
+  local values, why = group.values[rule], judge.explain(group.values, rule)
+  if why or values.count == 0 then return nil, nil, why or ALL_RESERVED end
+  return values.sum / values.count, nil, judge.describe(values)
 end
 
 -- Divide the mean of a source by the median of the other sources' means.
@@ -108,7 +116,7 @@ end
 -- measure  see above
 -- bound    the limit that a number is: "low" or "high"; is_count = true if it has no fraction
 -- takes_range  true if the limit may be A..B, A.. or ..B; nothing else if there is no bound
--- judges_values  true if that is the range of each value
+-- judges_values  true if the limits are those of each value
 -- needs_past, needs_time, can_fall, scope  as in rows of kinds
 
 --- MESSAGE.NAME=LIMIT
@@ -143,14 +151,22 @@ M.OF_MESSAGE = {
   },
 }
 
---- MESSAGE.FIELD=LIMIT of the first row, MESSAGE.FIELD.NAME=LIMIT of the others.
+--- MESSAGE.FIELD=LIMIT of the first row, MESSAGE.FIELD.NAME=LIMIT of the others; all of them may
+-- have suffixes.
 M.OF_FIELD = {
   {
     name = "range",
     text = "MESSAGE.FIELD=A..B",
     help = "all values but reserved ones lie within",
-    measure = measure_range,
+    measure = measure_values,
     takes_range = true,
+    judges_values = true,
+  },
+  {
+    name = "over",
+    text = "MESSAGE.FIELD.over(OTHER)=X:A..B;X:A..B",
+    help = "all lie within limits that depend on OTHER, linear between the points X",
+    measure = measure_values,
     judges_values = true,
   },
   {
@@ -190,6 +206,13 @@ M.OF_FIELD = {
 
 --- All of these rows.
 M.LIST = joined(M.OF_MESSAGE, M.OF_FIELD)
+
+--- What may stand behind a rule about values.
+M.SUFFIXES = {
+  { name = "when", text = "when=CONDITION", help = "judge only while it holds, a flag or a range" },
+  { name = "after", text = "after=S", help = "only once it has held for S seconds" },
+  { name = "for", text = "for=S", help = "fail only if values are outside for S seconds" },
+}
 
 -- How many events of a kind there are.
 local function count_events(group, rule)
@@ -247,60 +270,166 @@ local function parse_range(text)
   return low, high
 end
 
+local function parse_number(text, name, is_count)
+  local value = decimal(text)
+  local is_good = value and value >= 0 and not (is_count and text:find("%D"))
+  return demand(is_good and value, "%q is not a number for %s", text, name)
+end
+
+-- Return the points of X:A..B;X:A..B.
+local function parse_points(text)
+  local points = {}
+  for part in text:gmatch("[^;]+") do
+    local x, range = part:match("^(.-):(.*)$")
+    local point, last = { x = demand(x and decimal(x), POINTS) }, points[#points]
+    point.low, point.high = parse_range(range)
+    if last then
+      demand(point.x > last.x, "%s does not lie above %s", x, last.x)
+      for _, key in ipairs { "low", "high" } do
+        local is_open = math.abs(point[key]) == INFINITE
+        demand(is_open == (math.abs(last[key]) == INFINITE), "a limit is of all points, or of none")
+      end
+    end
+    points[#points + 1] = point
+  end
+  demand(#points > 1, POINTS)
+  return points
+end
+
 -- Set the limits of a rule by its measure.
 local function set_limits(rule, text)
   local measure = rule.kind
-  if measure.takes_range and (not measure.bound or text:find("..", 1, true)) then
+  rule.limit = text
+  if rule.other then
+    rule.points = parse_points(text)
+  elseif measure.takes_range and (not measure.bound or text:find("..", 1, true)) then
     rule.low, rule.high = parse_range(text)
   else
-    local value = decimal(text)
-    local is_good = value and value >= 0 and not (measure.is_count and text:find("%D"))
-    rule[measure.bound] = demand(is_good and value, "%q is not a number for %s", text, measure.name)
+    rule[measure.bound] = parse_number(text, measure.name, measure.is_count)
   end
   if measure.judges_values then
-    rule.range = { low = rule.low, high = rule.high }
+    rule.limits = { low = rule.low, high = rule.high }
     rule.low, rule.high = -INFINITE, 0 -- of how many values lie outside
   end
 end
 
--- MESSAGE.FIELD and MESSAGE.FIELD.spread
-local function set_field(rule, name)
-  local message, start, suffix = rule.message, name:match("^(.*)%.(%l+)$")
-  local plain = M.OF_FIELD[1]
-  rule.kind = find(M.OF_FIELD, suffix) or plain
-  if rule.kind ~= plain then name = start end
+-- Return a field of a message type, whose values are numbers.
+local function find_field(message, name)
   local field, names = find(joined(message.fields, message.generated), name)
-  rule.field = demand(field, "%s has no field %q, but %s", message.name, name, names)
+  demand(field, "%s has no field %q, but %s", message.name, name, names)
   demand(not field_kinds.BY_NAME[field.kind].is_text,
     "%s.%s is a text, which has no range", message.name, field.name)
-  rule.is_spread = rule.kind.scope == "capture"
-  demand(not (rule.source and rule.is_spread), "a %s is of all sources, not of one", rule.kind.name)
+  return field
 end
 
---- Read a rule: "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55".
+-- MESSAGE.FIELD, MESSAGE.FIELD.spread and MESSAGE.FIELD.over(OTHER)
+local function set_field(rule, name)
+  local start, suffix, other = name:match("^(.*)%.(%l+)%(?([^()]*)%)?$")
+  local kind = find(M.OF_FIELD, suffix)
+  if not kind or (kind.name == "over") ~= (other ~= "") then kind = M.OF_FIELD[1] end
+  if kind ~= M.OF_FIELD[1] then name = start end
+  rule.kind, rule.field = kind, find_field(rule.message, name)
+  rule.other = kind.name == "over" and find_field(rule.message, other) or nil
+  rule.is_spread = kind.scope == "capture"
+  demand(not (rule.source and rule.is_spread), "a %s is of all sources, not of one", kind.name)
+end
+
+-- Return the test of a flag; nil, and the names that there are, if there is none of this name.
+local function find_flag(message, name)
+  local rows = {}
+  for _, field in ipairs(message.fields) do
+    if field.kind == "bool" then
+      rows[#rows + 1] = { name = field.name, field = field, mask = 0xFF }
+    end
+    for _, flag in ipairs(field.flags or {}) do
+      local own_name = flag.filter:sub(#message.filter + 2) -- status.enabled
+      rows[#rows + 1] = { name = own_name, field = field, mask = flag.mask }
+    end
+  end
+  return find(rows, name)
+end
+
+-- Return the test of a part of a condition: FLAG, !FLAG, FIELD=NUMBER or FIELD=A..B.
+local function parse_test(message, text)
+  local is_not, name, value = text:match("^(!?)([^=]*)=?(.*)$")
+  local flag, names = find_flag(message, name)
+  if flag then
+    demand(value == "", "%s is a flag: write it without a value", name)
+    return { field = flag.field, mask = flag.mask, is_not = is_not ~= "" }
+  end
+  demand(value ~= "", "%s has no flag %q, but %s; of a field, give a number or a range",
+    message.name, name, names)
+  demand(is_not == "", "! is for flags")
+  local test = { field = find_field(message, name), low = decimal(value) }
+  test.high = test.low
+  if not test.low then test.low, test.high = parse_range(value) end
+  return test
+end
+
+local function set_suffix(rule, name, value)
+  local measure = rule.kind
+  if name == "for" then
+    demand(measure.judges_values, "%s is of all values: for= is for ranges and over", measure.name)
+    rule.hold = parse_number(value, name)
+    return
+  end
+  local condition = rule.condition or { text = "", tests = {}, after = 0 }
+  condition.text = condition.text .. (" %s=%s"):format(name, value)
+  rule.condition = condition
+  if name == "after" then
+    condition.after = parse_number(value, name)
+    return
+  end
+  for part in value:gmatch("[^&]+") do
+    table.insert(condition.tests, parse_test(rule.message, part))
+  end
+end
+
+-- Set what stands behind a rule: " when=C after=S for=S".
+local function set_suffixes(rule, text)
+  local given = {}
+  for word in text:gmatch("%S+") do
+    local name, value = word:match("^(%l+)=(.+)$")
+    local suffix, names = find(M.SUFFIXES, name)
+    demand(suffix, "%s is none of what may follow a rule: %s", word, names)
+    demand(rule.field, "%s= is for rules about values, such as motor.dc_voltage=40..55", name)
+    demand(not given[name], "%s= stands twice", name)
+    given[name] = true
+    set_suffix(rule, name, value)
+  end
+end
+
+-- Remove needless blanks: "fault = 0", "motor.rate = 9 .. 11".
+local function without_blanks(text)
+  text = text:gsub("%s+", " "):gsub(" ?([=&:;]) ?", "%1"):gsub("! ", "!")
+  return (text:gsub(" ?%.%.", ".."):gsub("%.%. ([%d.+-])", "..%1"))
+end
+
+--- Read a rule: "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55 when=status.enabled for=1".
 -- source   name that it is about, or nil
 -- options  the words that are no rules, for an error
 function M.parse(text, catalogue, source, options)
-  local name, value = text:match("^([^=]*)=(.*)$")
+  text = without_blanks(text)
+  local name, value, suffixes = text:match("^([^=]*)=(%S*)(.*)$")
   local kind = kinds.BY_NAME[name]
   local rule = { text = text, source = source, kind = kind, low = -INFINITE, high = INFINITE }
-  if kind and not kind.counts_as then
-    set_limits(rule, value)
-    return rule
+  rule.hold = 0
+  if not kind or kind.counts_as then
+    local message_name, rest = (name or ""):match("^([^.]+)%.(.+)$")
+    if not message_name then
+      local texts = { table.concat(kinds.RULES, "=N, ") .. "=N" }
+      for i, measure in ipairs(M.LIST) do texts[i + 1] = measure.text end
+      demand(false, "a rule is one of %s; options are %s", table.concat(texts, ", "), options)
+    end
+    local message, names = find(catalogue.messages, message_name)
+    rule.message = demand(message, "there is no message %q, but %s", message_name, names)
+    -- A field of the user's may have the name of a measure: NAME.value is the field.
+    local field_name = rest:match("^(.*)%.value$")
+    rule.kind = find(M.OF_MESSAGE, rest)
+    if not rule.kind then set_field(rule, field_name or rest) end
   end
-  local message_name, rest = (name or ""):match("^([^.]+)%.(.+)$")
-  if not message_name then
-    local texts = { table.concat(kinds.RULES, "=N, ") .. "=N" }
-    for i, measure in ipairs(M.LIST) do texts[i + 1] = measure.text end
-    demand(false, "a rule is one of %s; options are %s", table.concat(texts, ", "), options)
-  end
-  local message, names = find(catalogue.messages, message_name)
-  rule.message = demand(message, "there is no message %q, but %s", message_name, names)
-  -- A field of the user's may have the name of a measure: NAME.value is the field.
-  local field_name = rest:match("^(.*)%.value$")
-  rule.kind = find(M.OF_MESSAGE, rest)
-  if not rule.kind then set_field(rule, field_name or rest) end
   set_limits(rule, value)
+  set_suffixes(rule, suffixes)
   return rule
 end
 

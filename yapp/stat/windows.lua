@@ -2,6 +2,7 @@
 -- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, and help.
 -- Wireshark's API.
 
+local joined = require "yapp.base.joined"
 local options_of = require "yapp.stat.options"
 local output = require "yapp.stat.output"
 local rules_of = require "yapp.stat.rules"
@@ -136,7 +137,7 @@ local function open_help()
   for _, row in ipairs(options_of.LIST) do
     lines = lines .. ("%-15s%s\n"):format(row.title, row.help)
   end
-  for _, row in ipairs(rules_of.LIST) do
+  for _, row in ipairs(joined(rules_of.LIST, rules_of.SUFFIXES)) do
     rules = rules .. ("%-25s%s\n"):format(row.text, row.help)
   end
   help = TextWindow.new("YAPP Help")
