@@ -31,7 +31,7 @@ export function tablesOf(lines) {
     for (const [key, value] of Object.entries(line)) {
       if (value === null || typeof value !== "object") row[key] = value;
       else if (Array.isArray(value)) inner.push(...value);
-      else inner.push(...Object.entries(value).map(([field, values]) => ({ field, ...values })));
+      else for (const [field, one] of Object.entries(value)) inner.push({ field, ...(typeof one === "object" ? one : { count: one }) });
     }
     add(tables[0], row);
     const identity = Object.fromEntries(IDENTITY.filter((key) => key in row).map((key) => [key, row[key]]));

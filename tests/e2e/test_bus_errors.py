@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """CAN error frames: each change of a bus is an event and counts in `check`, however the capture holds the frames."""
+import collections
 import json
 import random
 import struct
@@ -9,7 +10,7 @@ import pytest
 import can_generator
 import levels
 import tshark
-from test_buses import BEGIN, Placed, interfaces, log, motor, packet, pcap
+from test_buses import BEGIN, Placed, interfaces, motor, packet, pcap
 
 pytestmark = levels.by_version
 CASES = tshark.CAPTURES / "cases"
@@ -81,7 +82,8 @@ def flight(rng):
     for bus in (0, 1):
         for at in range(ROUNDS):
             sent = can_generator.Sent(0x210, 0, 0, motor(1000 + at, 0)).frames()
-            frames += [Placed(BEGIN + at * 100_000 + 200 * part + bus * 7, bus, one.can_id, one.data) for part, one in enumerate(sent)]
+            frames += [Placed(BEGIN + at * 100_000 + 200 * part + bus * 7, bus, one.can_id | EXTENDED, one.data)
+                       for part, one in enumerate(sent)]
         time = 0
         while (time := time + rng.choice([1_000, 30_000, 30_000, 200_000, 1_200_000])) < ROUNDS * 100_000:
             name = rng.choice(list(REPORTS))
@@ -112,12 +114,8 @@ def truth(frames):
     return changes, dropped, errors
 
 
-def word(one):
-    return one.can_id if one.can_id & ERROR else one.can_id | EXTENDED
-
-
 def record(one, order=">"):
-    return struct.pack(order + "IB3x", word(one), len(one.data)) + one.data.ljust(8, b"\0")
+    return struct.pack(order + "IB3x", one.can_id, len(one.data)) + one.data.ljust(8, b"\0")
 
 
 def sll2(one):
@@ -127,6 +125,12 @@ def sll2(one):
 def sll(one):
     return struct.pack(">HHH8xH", 4 * one.bus, 280, 0, 0x0C) + record(one, "<")
 
+
+
+def log(frames):
+    """An id has three digits if it is a standard one, and no flag of an extended one."""
+    return "".join(f"({one.time // 10**6}.{one.time % 10**6:06d}) can{one.bus} "
+                   f"{one.can_id & ~EXTENDED:0{8 if one.can_id > 0x7FF else 3}X}#{one.data.hex().upper()}\n" for one in frames).encode()
 
 
 # Form: how it is written, the names of its buses.
@@ -156,6 +160,75 @@ def test_random_error_frames(folder, form, seed):
     assert failed(path, "bus_off=0", "bus_passive=0", "bus_errors=0") == (20, {**counts, "bus_errors": errors})
 
 
+# buses -------------------------------------------------------------------------------------------------------------------
+
+REPORTED = {  # what an error frame counts as
+    **{name: name for name in REPORTS}, "sent too many": "overflow", "receiver warns": "warning", "receiver passive": "passive",
+    "counters": "bus", "no_ack and protocol": "no_ack", "passive, no_ack": "passive",
+}
+BITRATE = 125_000
+
+
+def random_bus(rng, bus):
+    """Frames of one bus, the names of its error frames, how many are YAPP's, the bits of all."""
+    frames, names, time, ours = [], [], rng.randrange(10**6), 0
+    while len(frames) < 300:
+        time += rng.choice([300, 2000, 2000, 90_000])
+        kind = rng.choice(["motor", "error", "standard", "other"])
+        if kind == "motor":
+            sent = can_generator.Sent(0x210, 0, 0, motor(time // 100_000, 0)).frames()
+            frames += [Placed(BEGIN + time + 10 * part, bus, one.can_id | EXTENDED, one.data) for part, one in enumerate(sent)]
+            ours += len(sent)
+        elif kind == "error":
+            names.append(rng.choice(list(REPORTS)))
+            frames.append(error(BEGIN + time, bus, names[-1]))
+        else:
+            ident = rng.randrange(0x800) if kind == "standard" else EXTENDED | 0x7FF << 18 | rng.randrange(0x40)
+            frames.append(Placed(BEGIN + time, bus, ident, rng.randbytes(rng.randrange(9))))
+    return frames, names, ours
+
+
+def bits(one):
+    """With the mean stuffing, as docs/statistics.md has it."""
+    length = 8 * len(one.data)
+    return 67 + length + (54 + length) / 30 if one.can_id & EXTENDED else 47 + length + (34 + length) / 30
+
+
+@pytest.mark.parametrize("form", ["pcapng", "sll2.pcap", "log"])
+@pytest.mark.parametrize("seed", range(levels.size(2, 8)))
+def test_buses(folder, form, seed):
+    rng = random.Random(f"{form} {seed}")
+    buses = [random_bus(rng, bus) for bus in (0, 1)]
+    path = folder / f"buses.{form}"
+    path.write_bytes(FORMS[form][0](sorted(one for frames, *_ in buses for one in frames)))
+    done = tshark.run("-r", path, *rng.choice([[], ["-2"]]), "-q", "-z", f"yapp,buses,json,bitrate={BITRATE}")
+    rows = {row["bus"]: row for row in map(json.loads, done.stdout.splitlines())}
+    assert list(rows) == FORMS[form][1] or list(rows)[::-1] == FORMS[form][1]
+    for name, (frames, names, ours) in zip(FORMS[form][1], buses):
+        row, sent = rows[name], [one for one in frames if not one.can_id & ERROR]
+        length = (sent[-1].time - sent[0].time) / 1e6
+        assert [row["frames"], row["yapp"]] == [len(sent), ours]
+        assert {what: count for what, count in row["errors"].items() if count} == collections.Counter(REPORTED[one] for one in names)
+        assert row["rate"] == pytest.approx((len(sent) - 1) / length)
+        assert row["load"] == pytest.approx(sum(map(bits, sent)) / length / BITRATE, rel=1e-4)
+        windows = [sum(bits(one) for one in sent if begin.time <= one.time < begin.time + 10**6) for begin in sent]
+        assert row["load_max"] == pytest.approx(max(windows) / BITRATE, rel=1e-4)
+
+
+def test_buses_of_captures_of_others():
+    for name, errors in (("plain_errors.pcapng", {"protocol": 9}), ("no_ack.pcapng", {"no_ack": 50})):
+        row = json.loads(tshark.run("-r", CASES / name, "-q", "-z", "yapp,buses,json").stdout)
+        assert {what: count for what, count in row["errors"].items() if count} == errors and row["load"] is None
+    text = tshark.run("-r", CASES / "bus_off.log", "-q", "-z", "yapp,buses,filter=frame.number > 111").stdout
+    assert "can0     130  " in text and "1 off, 1 restarted" in text
+
+
+def test_a_bit_rate_is_a_number():
+    for given in ("0", "", "fast", "5e5"):
+        done = tshark.run("-r", CASES / "no_ack.pcapng", "-q", "-z", f"yapp,buses,bitrate={given}", check=False)
+        assert done.returncode == 21 and f"bitrate={given}: " in done.stderr
+
+
 def test_a_pipe(folder):
     frames = flight(random.Random(3))
     path = folder / "errors.pcapng"
@@ -179,7 +252,7 @@ def test_near(folder):
                 continue
             sent = can_generator.Sent(0x210, 0, 0, motor(1000 + at, 0x10000 if at == 40 else 0)).frames()
             sent = sent[:-1] if at == 50 else sent
-            frames += [Placed(BEGIN + at * 100_000 + 200 * part + bus * 7, bus, one.can_id, one.data) for part, one in enumerate(sent)]
+            frames += [Placed(BEGIN + at * 100_000 + 200 * part + bus * 7, bus, one.can_id | EXTENDED, one.data) for part, one in enumerate(sent)]
     for time, what in ((0.85, "passive"), (0.95, "off"), (3.05, "restarted"), (3.85, "passive"), (5.5, "no_ack")):
         frames.append(error(BEGIN + int(time * 1e6), 0, what))
     path = folder / "near.pcapng"

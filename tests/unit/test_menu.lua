@@ -10,7 +10,8 @@ local NAMES = { "register_menu", "new_dialog", "TextWindow", "report_failure", "
   "copy_to_clipboard", "MENU_TOOLS_UNSORTED", "MENU_STAT_UNSORTED" }
 -- The entries of Tools > YAPP in their order, what each opens, and whether it asks first: typed once more.
 local OPENS = { { "Summary", "yapp,summary" }, { "Faults", "yapp,faults" }, { "Events", "yapp,events" },
-  { "Compare", "yapp,compare" }, { "Export tables", "yapp,csv", true }, { "Check", "yapp,check", true } }
+  { "Compare", "yapp,compare" }, { "CAN buses", "yapp,buses" },
+  { "Export tables", "yapp,csv", true }, { "Check", "yapp,check", true } }
 
 local seen -- what the plugin asked of the windows
 

@@ -11,7 +11,9 @@ local searchers = rawget(package, "searchers")
 local GLOBALS = { "Proto", "DissectorTable", "Dissector", "Dir", "gui_enabled", "register_stat_cmd_arg",
   "set_plugin_info", "Listener" }
 local TITLES = {} -- of the statistics, typed once more
-for _, name in ipairs { "faults", "events", "summary", "compare", "csv", "check" } do TITLES["yapp," .. name] = true end
+for _, name in ipairs { "faults", "events", "summary", "compare", "buses", "csv", "check" } do
+  TITLES["yapp," .. name] = true
+end
 
 local DEFAULTS = { command_ids = "0", motor_ids = "528", health_ids = "512", sources = "", messages = "", late = "2.5",
   hide_source = false, hide_values = false, all_extended = false, search_all = false, user_dlt = "",

@@ -21,7 +21,7 @@ const ofPart = (all) => all.filter((_, i) => i % parts === part - 1);
 const IS_SAME = version === "4.4";
 const FLIGHT = join(TOP, "docs/flight.pcapng");
 const OURS = /^(Yet Another Packet Protocol|Taurus|YAPP)/;
-const STATISTICS = ["faults", "events", "summary", "compare", "check"];
+const STATISTICS = ["faults", "events", "summary", "compare", "buses", "check"];
 const counted = { rows: 0, lines: 0, statistics: 0, filters: 0 };
 
 // Twenty of them: each kind of file, and every so many.

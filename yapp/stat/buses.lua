@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The CAN buses below the messages: their error frames become events.  Pure Lua, 5.2 to 5.5.
+-- The CAN buses below the messages: their error frames become events; and -z yapp,buses: the frames
+-- of each bus, its errors, its load.  Pure Lua, 5.2 to 5.5.
 --
 -- Linux, and Wireshark's readers of other files, write the errors that a CAN controller reports as
 -- frames (linux/can/error.h): a class in the place of the CAN id, and 8 bytes, of which the second
@@ -7,6 +8,8 @@
 
 local bits = require "yapp.base.bits"
 local kinds = require "yapp.stat.kinds"
+local memo = require "yapp.base.memo"
+local output = require "yapp.stat.output"
 
 local M = {}
 
@@ -137,6 +140,156 @@ function M.near(event, bus_events)
     end
   end
   return texts[1] and "bus " .. table.concat(texts, ", ") or nil
+end
+
+-- buses -------------------------------------------------------------------------------------------
+
+-- Of a frame with an 11-bit id and without data: its bits up to the next frame; how many of these
+-- stuffing lengthens; and how many more a 29-bit id has.
+local CLASSIC = { bits = 47, stuffed = 34, long_id = 20 }
+local FLEXIBLE = { bits = 62, stuffed = 22, long_id = 19 } -- its CRC has fixed bits of stuffing
+local LONG_CRC = 5 -- more bits of the CRC of over 16 bytes
+local EXTENDED, REMOTE = 0x80, 0x40 -- flags in the highest byte of the id
+local FDF = 0x04 -- flag behind the length
+local STUFFING = 1 / 30 -- the mean of random bits; at most 1 / 4
+
+-- Return how many bits a frame takes on its bus, with the mean stuffing.
+-- packet  its bytes, from the beginning of the packet
+local function bits_of(packet)
+  local offset = record_offset(packet)
+  local a, _, _, d, length, flags = byte(packet, offset + 1, offset + 6)
+  if not flags then return 0 end -- the snap length cuts it
+  local id = offset > 0 and d or a -- the highest byte, see read_error
+  local is_flexible = length > 8 or band(flags, FDF) > 0
+  local form, more = is_flexible and FLEXIBLE or CLASSIC, band(id, REMOTE) == 0 and 8 * length or 0
+  if band(id, EXTENDED) > 0 then more = more + form.long_id end
+  local crc = is_flexible and length > 16 and LONG_CRC or 0
+  return form.bits + more + crc + (form.stuffed + more) * STUFFING
+end
+
+local NAMES = {}
+for i, report in ipairs(REPORTS) do NAMES[i] = report.name end
+
+local COLUMNS = output.columns {
+  { "bus" },
+  { "frames", type = "integer", help = "data and remote frames" },
+  { "rate", type = "number", unit = "Hz", help = "(frames - 1) / (last - first)" },
+  { "yapp", type = "integer", title = "YAPP", help = "the frames of them that are YAPP's" },
+  { "others", where = "text window" },
+  { "errors", type = "values",
+    help = "error frames by the gravest that each reports: `" .. table.concat(NAMES, " ") .. "`" },
+  { "first", where = "text", title = "first/s" },
+  { "last", where = "text", title = "last/s" },
+  { "load", type = "number", help = "the mean share of `bitrate=` that frames take" },
+  { "load_max", type = "number", title = "in 1 s", help = "the highest within a second" },
+}
+--- The columns, see output.columns.
+M.COLUMNS = COLUMNS
+
+local Buses = {}
+Buses.__index = Buses
+
+local function new_bus(source)
+  return {
+    source = source,
+    frames = 0,
+    yapp = 0,
+    errors = {}, -- by name of the gravest report: number of error frames
+    first = nil, -- when its frames came
+    last = nil,
+    bits = 0, -- of all frames
+    recent = {}, -- frames of the last second: [number] = { time, bits }
+    oldest = 1, -- number of the oldest of them
+    recent_bits = 0,
+    max_bits = 0,
+  }
+end
+
+--- Make the statistic.
+-- options  { bitrate = bits in a second, or nil }
+-- context  of output.print
+function M.new(options, context)
+  local list = {}
+  return setmetatable({
+    options = options,
+    context = context,
+    list = list,
+    by_source = memo(new_bus, list),
+  }, Buses)
+end
+
+--- Add an event, see stat.answer.
+function Buses:add_event(event)
+  if event.kind ~= "bus_errors" then return end
+  local errors, gravest = self.by_source[event.source].errors, event.values.reports[1]
+  local name = gravest and gravest.name or "bus"
+  errors[name] = (errors[name] or 0) + 1
+end
+
+local function add_bits(bus, time, added)
+  local recent = bus.recent
+  recent[bus.frames] = { time, added }
+  bus.bits, bus.recent_bits = bus.bits + added, bus.recent_bits + added
+  while time - recent[bus.oldest][1] >= 1 do
+    bus.recent_bits = bus.recent_bits - recent[bus.oldest][2]
+    recent[bus.oldest], bus.oldest = nil, bus.oldest + 1
+  end
+  bus.max_bits = math.max(bus.max_bits, bus.recent_bits)
+end
+
+--- Add a data or remote frame.
+-- source  of its bus, as events have it; time in seconds
+-- packet  its bytes, from the beginning of the packet
+function Buses:add_frame(source, time, packet)
+  local bus = self.by_source[source]
+  bus.frames = bus.frames + 1
+  bus.first, bus.last = bus.first or time, time
+  if self.options.bitrate then add_bits(bus, time, bits_of(packet)) end
+end
+
+--- Count a frame as one of YAPP's.
+function Buses:add_yapp(source)
+  self.by_source[source].yapp = self.by_source[source].yapp + 1
+end
+
+-- A share: JSON has it as it is.
+local function share(value)
+  return { value = tonumber(("%.6g"):format(value)), text = ("%.1f %%"):format(100 * value) }
+end
+
+local function errors_of(bus)
+  local texts, counts = {}, {}
+  for i, name in ipairs(NAMES) do
+    local count = bus.errors[name] or 0
+    counts[name] = count
+    texts[i] = count > 0 and ("%d %s, "):format(count, name) or ""
+  end
+  return { json = output.object(NAMES, counts).json, text = table.concat(texts):gsub(", $", "") }
+end
+
+local function row_of(self, bus, ending)
+  local row = {
+    bus = bus.source.bus,
+    frames = bus.frames,
+    yapp = bus.yapp,
+    others = bus.frames - bus.yapp,
+    errors = errors_of(bus),
+    first = output.seconds(bus.first),
+    last = output.seconds(bus.last),
+  }
+  local length, bitrate = bus.first and span(bus.first, bus.last) or 0, self.options.bitrate
+  if length == 0 or ending.lacks_times then return row end
+  row.rate = (bus.frames - 1) / length
+  if not bitrate then return row end
+  row.load, row.load_max = share(bus.bits / length / bitrate), share(bus.max_bits / bitrate)
+  return row
+end
+
+--- End, see stat.answer.
+function Buses:finish(ending, notes)
+  local rows = {}
+  for i, bus in ipairs(self.list) do rows[i] = row_of(self, bus, ending) end
+  output.print(self.context, ("YAPP buses: %d"):format(#rows), COLUMNS, rows, notes)
 end
 
 return M

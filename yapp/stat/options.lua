@@ -4,6 +4,7 @@
 --
 -- A new statistic is a row here and its module.
 
+local buses = require "yapp.stat.buses"
 local check = require "yapp.stat.check"
 local csv = require "yapp.stat.csv"
 local input = require "yapp.base.input"
@@ -117,6 +118,12 @@ local function finish_csv(options)
   demand(not (chosen and options.json), "csv,- prints a table; json is for csv,FOLDER")
 end
 
+local function parse_buses(options, part)
+  local bitrate = part:match("^bitrate=(%d+)$")
+  if not bitrate then refuse(options) end
+  options.bitrate = demand(tonumber(bitrate) > 0 and tonumber(bitrate), "it is 0")
+end
+
 -- The statistics ----------------------------------------------------------------------------------
 
 -- name     behind -z yapp,
@@ -129,6 +136,7 @@ end
 -- help     its meaning, for people
 -- ask      the question of a menu; the answer follows the name
 -- file     the name of a new file that a menu suggests
+-- reads_frames  true if it reads all CAN frames, see stat.buses
 -- table_only  true if its output has no room for notes
 -- looks_for_faults  true if it must say which messages may hide a fault, as it does not list them
 M.LIST = {
@@ -164,6 +172,16 @@ M.LIST = {
     columns = summary.COMPARED,
     options = "json",
     help = "the values of all controllers beside each other",
+  },
+  {
+    name = "buses",
+    title = "CAN buses",
+    new = buses.new,
+    columns = buses.COLUMNS,
+    options = "json, bitrate=BITS",
+    parse = parse_buses,
+    help = "of each CAN bus: frames, error frames, load",
+    reads_frames = true,
   },
   {
     name = "csv",

@@ -120,16 +120,32 @@ local function tap_packets(self)
   end
 end
 
--- The tap of the error frames of CAN: Wireshark hands these to no dissector.
-local function tap_bus_errors(self)
-  local buses = self.buses
-  local sources = memo(function(bus) return { bus = buses:name(bus or nil) } end)
-  add_tap(self, "can.flags.err == 1").packet = self.counted(function(pinfo, tvb)
-    local source = sources[buses.bus_of(pinfo.number, pinfo) or false]
-    local error_frame = buses_of.read_error(tvb:raw())
-    self.current:add_bus_error(
-      kinds.new_event("bus_errors", pinfo.number, pinfo.rel_ts, source, error_frame))
+-- Tap the CAN frames that a filter lets through.
+-- on_frame  function(source of the bus, pinfo, tvb)
+local function tap_can(self, filter, on_frame)
+  add_tap(self, filter).packet = self.counted(function(pinfo, tvb)
+    on_frame(self.bus_sources[self.buses.bus_of(pinfo.number, pinfo) or false], pinfo, tvb)
   end)
+end
+
+-- Wireshark hands error frames to no dissector.
+local function tap_bus_errors(self)
+  self.bus_sources = memo(function(bus) return { bus = self.buses:name(bus or nil) } end)
+  tap_can(self, "can.flags.err == 1", function(source, pinfo, tvb)
+    local values = buses_of.read_error(tvb:raw())
+    self.current:add_bus_error(
+      kinds.new_event("bus_errors", pinfo.number, pinfo.rel_ts, source, values))
+  end)
+end
+
+-- Show a statistic all CAN frames.
+-- filter  that these pass, or nil
+local function tap_frames(self, statistic, filter)
+  local passes = filter and (" && (%s)"):format(filter) or ""
+  tap_can(self, "can.id" .. passes, function(source, pinfo, tvb)
+    statistic:add_frame(source, pinfo.rel_ts, tvb:raw())
+  end)
+  tap_can(self, "can.id && yapp" .. passes, function(source) statistic:add_yapp(source) end)
 end
 
 local function open(self)
@@ -203,6 +219,7 @@ local function begin_statistic(self, text, context)
   context.dates, context.settings = events.dates, self.settings
   context.json, context.make_folder = options.json, make_folder
   local statistic = options.row.new(options, context)
+  if options.row.reads_frames then tap_frames(self, statistic, options.filter) end
   local deriver = events:add(statistic, options)
   if filter then
     filter.packet = self.counted(function(pinfo) deriver.matched[pinfo.number] = true end)
