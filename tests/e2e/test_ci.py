@@ -6,6 +6,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import xml.etree.ElementTree
 
 import levels
 import pytest
@@ -118,6 +119,57 @@ def test_sources_and_messages(folder, project, flights):
     assert done.returncode == 21 and "messages.lua" in done.stderr
 
 
+# Several captures --------------------------------------------------------------------------------------------------
+
+WAIVERS = """# of the bench
+fault* fault=0 can1/0x210 until=2099-01-31 the old motor
+fault* reboot * until=2020-01-31 a supply
+x* * * until=2099-01-31 a flight that is gone
+"""
+
+
+def test_several_captures(folder, project, flights):
+    """Files and patterns; a suite each, a table, the worst code.  A damaged one is worse than one that could not be judged."""
+    report, summary = folder / "out/report.xml", folder / "summary.md"
+    done = gate(project, folder, "--rules", RULES, "--junit", report, "--summary", summary, flights / "clean.pcapng",
+                f"{flights}/[f]*.pcapng")
+    assert done.returncode == 20 and "FAILED  fault=0" in done.stdout, done.stdout + done.stderr
+    assert f"{flights}/clean.pcapng: " not in done.stdout  # all is well there
+    suites = xml.etree.ElementTree.parse(report).getroot()
+    assert [(suite.get("name"), suite.get("failures")) for suite in suites] == \
+        [(f"{flights}/clean.pcapng", "0"), (f"{flights}/fault.pcapng", "1")]
+    assert all(int(suite.get("tests")) == len(suite) > 4 for suite in suites)
+    table = summary.read_text()
+    assert f"| rule | {flights}/clean.pcapng | {flights}/fault.pcapng |" in table
+    assert "| `fault=0` | ok | FAILED can1 0x210 |" in table
+    assert gate(project, folder, "--rules", RULES, "*.pcapng").returncode == 2  # no file matches
+    both = gate(project, folder, "--rules", "note.count=1", flights / "clean.pcapng", flights / "text.pcapng")
+    assert both.returncode == 2 and "NOT JUDGED" in both.stdout, both.stdout
+
+
+def test_waivers(folder, project, flights):
+    (folder / "waivers").write_text(WAIVERS)
+    words = ["--waive", "waivers", "--junit", "report.xml", flights / "fault.pcapng"]
+    done = gate(project, folder, "--rules", RULES, *words)
+    assert done.returncode == 0, done.stdout + done.stderr
+    suite = xml.etree.ElementTree.parse(folder / "report.xml").getroot()
+    assert (suite.get("failures"), suite.get("skipped")) == ("0", "1")
+    assert suite.find(".//skipped").get("message") == "waived until 2099-01-31: the old motor: seen 1, frame 719"
+    assert "waivers:4: unused: a flight that is gone" in done.stderr and "waivers:3: unused: a supply" in done.stderr
+    done = gate(project, folder, "--rules", "fault=0,reboot=0", *words)
+    assert done.returncode == 20 and "waivers:3: expired on 2020-01-31: a supply" in done.stderr
+    (folder / "waivers").write_text("fault* fault=0 * 2099-01-31 why\n")
+    done = gate(project, folder, *words)
+    assert done.returncode == 2 and "waivers:1: a waiver is CAPTURE-PATTERN RULE SOURCE until=" in done.stderr
+
+
+def test_of_many_captures_a_column_stands_for_those_in_which_all_holds(folder, project, flights):
+    for number in range(14):
+        shutil.copy(flights / ("fault.pcapng" if number == 7 else "clean.pcapng"), folder / f"{number:02}.pcapng")
+    done = gate(project, folder, "--rules", RULES, "*.pcapng")
+    assert done.returncode == 20 and re.search(r"^rule +07\.pcapng +13 others$", done.stdout, re.M), done.stdout
+
+
 # What it installs ------------------------------------------------------------------------------------------------------
 
 def gate(project, folder, *words):
@@ -158,7 +210,8 @@ def programs(folder, *names):
     """A folder with these programs of the machine's, and no others."""
     place = folder / "bin"
     place.mkdir()
-    for name in ("bash", "basename", "cat", "chown", "cp", "dirname", "env", "id", "mkdir", "mktemp", "rm", "setpriv", *names):
+    for name in ("awk", "bash", "basename", "cat", "chown", "cp", "dirname", "env", "id", "mkdir", "mktemp", "nproc", "rm", "setpriv",
+                 *names):
         (place / name).symlink_to(shutil.which(name, path=SYSTEM))
     return place
 
@@ -212,7 +265,7 @@ def action(project, given, folder):
     """A step of the action, as GitHub's runner does it; returns the exit code and its outputs."""
     text = (project / "action.yml").read_text()
     inputs = re.findall(r"^  (\w+):$", text.split("\noutputs:")[0], re.MULTILINE)
-    assert sorted(inputs) == ["capture", "junit", "messages", "report", "rules", "sources"]
+    assert sorted(inputs) == ["capture", "junit", "messages", "report", "rules", "sources", "waive"]
     values = {name: re.sub(r"\$\{\{ inputs\.(\w+) \}\}", lambda found: given.get(found[1], ""), value)
               for name, value in variables(block(text, "env")).items()}
     (folder / "step.sh").write_text("\n".join(block(text, "run")))
