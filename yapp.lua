@@ -347,7 +347,7 @@ if gui_enabled() then
   make_statistics()
   stat:register_menus()
   local show_menu = require "yapp.show.menu"
-  show_menu.register(yapp.prefs, catalogue)
+  show_menu.register(yapp.prefs, catalogue, stat.show)
 end
 for name, proto in pairs {
   ["can.subdissector"] = all,

@@ -9,7 +9,8 @@ local T = {}
 local NAMES = { "register_menu", "new_dialog", "TextWindow", "report_failure", "set_filter", "apply_filter",
   "copy_to_clipboard", "MENU_TOOLS_UNSORTED", "MENU_STAT_UNSORTED" }
 -- The entries of Tools > YAPP in their order, what each opens, and whether it asks first: typed once more.
-local OPENS = { { "Summary", "yapp,summary" }, { "Faults", "yapp,faults" }, { "Events", "yapp,events" },
+local OPENS = { { "Summary", "yapp,summary" }, { "Faults", "yapp,faults" }, { "Fault", "yapp,fault", true },
+  { "Events", "yapp,events" },
   { "Compare", "yapp,compare" }, { "CAN buses", "yapp,buses" },
   { "Export tables", "yapp,csv", true }, { "Check", "yapp,check", true } }
 

@@ -39,7 +39,8 @@ local function menu(prefs)
   local motor = { name = "motor", title = "Motor Data", fault_field = flags, alarms = { state, flags } }
   local pump = { name = "pump", title = "Pump", alarms = { { filter = "taurus.pump.alarms" } } } -- has other alarms
   local health = { name = "health", title = "Health", alarms = {} } -- without a fault flag
-  require("yapp.show.menu").register(prefs, { messages = { motor, pump, health }, by_name = {} })
+  local catalogue = { messages = { motor, pump, health }, by_name = {} }
+  require("yapp.show.menu").register(prefs, catalogue, function(text) seen.shown = text end)
 end
 
 local function choose(title)
@@ -54,6 +55,16 @@ function T.test_filters()
     lu.assertEquals(seen.fields["YAPP/" .. row[1]], row[2])
     lu.assertEquals(choose(row[1]), { "set_filter " .. row[3], "apply_filter" })
   end
+end
+
+-- From any frame of a message with a fault: its card is found by the last one.
+function T.test_the_card_of_a_fault()
+  menu({ sources = "" })
+  lu.assertEquals(seen.fields["YAPP/Fault"], "yapp.message.fault")
+  choose("Fault")
+  lu.assertEquals(seen.shown, "yapp,fault,frame=9")
+  seen.items["YAPP/Fault"]({ name = "frame.number", value = 7 })
+  lu.assertEquals(seen.shown, "yapp,fault,frame=7")
 end
 
 -- In 4.0, which has no menu of a packet, too.

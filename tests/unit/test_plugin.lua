@@ -11,7 +11,7 @@ local searchers = rawget(package, "searchers")
 local GLOBALS = { "Proto", "DissectorTable", "Dissector", "Dir", "gui_enabled", "register_stat_cmd_arg",
   "set_plugin_info", "Listener" }
 local TITLES = {} -- of the statistics, typed once more
-for _, name in ipairs { "faults", "events", "summary", "compare", "buses", "csv", "check" } do
+for _, name in ipairs { "faults", "fault", "events", "summary", "compare", "buses", "csv", "check" } do
   TITLES["yapp," .. name] = true
 end
 

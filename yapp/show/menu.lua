@@ -126,7 +126,7 @@ local function add_filter(row, field)
 end
 
 -- COMPAT 4.0: no register_packet_menu.
-local function register_of_packet(prefs, catalogue)
+local function register_of_packet(prefs, catalogue, show_statistic)
   local fault_fields = {}
   for _, message_type in ipairs(catalogue.messages) do
     local field = message_type.fault_field or message_type.alarms[1]
@@ -145,13 +145,18 @@ local function register_of_packet(prefs, catalogue)
     ask_name(values, prefs.sources, catalogue)
   end)
   add_item("Copy message as candump", "yapp.can.ctrl", copy_as_candump)
+  add_item("Fault", "yapp.message.fault", function(values)
+    local frame = values["yapp.reassembled.in"] or values["frame.number"]
+    show_statistic("yapp,fault,frame=" .. frame)
+  end)
 end
 
 --- Make the menus.
 -- prefs      of yapp
 -- catalogue  compiled
-function M.register(prefs, catalogue)
-  if register_packet_menu then register_of_packet(prefs, catalogue) end
+-- show_statistic  function(text), opens the window of an argument of -z
+function M.register(prefs, catalogue, show_statistic)
+  if register_packet_menu then register_of_packet(prefs, catalogue, show_statistic) end
   register_menu("YAPP/Decode unknown IDs by size", function()
     decode_by_size(prefs, catalogue.messages)
   end, MENU_TOOLS_UNSORTED)

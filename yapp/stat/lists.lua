@@ -88,17 +88,16 @@ function Lists:add_event(event)
   end
 end
 
-local function row_of(self, event, ending)
-  local time, near = event.time, buses.near(event, self.bus_events)
-  local keys = self.what == "events" and KEYS_OF_KIND[event.kind] or FAULTS.json
+--- Return the row of an event; its keys are those of a line of `events`.
+function M.event_row(context, event, ending)
+  local time = event.time
   local row = {
     kind = event.kind,
     frame = event.frame,
-    time = time and self.context.dates:value(time),
+    time = time and context.dates:value(time),
     rel = output.seconds(time),
     details = nil,
-    near = near,
-    keys = near and joined(keys, { "near" }) or keys,
+    keys = KEYS_OF_KIND[event.kind],
   }
   for key, value in pairs(event.values) do
     row[key] = value
@@ -124,9 +123,8 @@ local function count_incidents(list)
   return count
 end
 
--- Where sources were not decoded, no number of faults is known.
-local function title_of_faults(list, ending)
-  local count = count_incidents(list)
+--- Return a number of faults as a text: where sources were not decoded, none is known.
+function M.count_text(count, ending)
   if ending.unknown == 0 then return count end
   local shape = "UNKNOWN, %d of %s not decoded, %d in what was decoded"
   return shape:format(ending.unknown, output.count(ending.sources, "source"), count)
@@ -143,12 +141,16 @@ function Lists:finish(ending, notes)
   if what == "events" then
     output.sort(list, order_of)
   else
-    count = title_of_faults(list, ending)
+    count = M.count_text(count_incidents(list), ending)
     code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
   end
   local title = ("YAPP %s: %s"):format(what, count)
   output.print(self.context, title, M.COLUMNS[what], list, notes, function(event)
-    return row_of(self, event, ending)
+    local row = M.event_row(self.context, event, ending)
+    if what == "faults" then row.keys = FAULTS.json end
+    row.near = buses.near(event, self.bus_events)
+    if row.near then row.keys = joined(row.keys, { "near" }) end
+    return row
   end)
   return code
 end

@@ -7,6 +7,7 @@
 local buses = require "yapp.stat.buses"
 local check = require "yapp.stat.check"
 local csv = require "yapp.stat.csv"
+local fault = require "yapp.stat.fault"
 local input = require "yapp.base.input"
 local kinds = require "yapp.stat.kinds"
 local lists = require "yapp.stat.lists"
@@ -124,6 +125,12 @@ local function parse_buses(options, part)
   options.bitrate = demand(tonumber(bitrate) > 0 and tonumber(bitrate), "it is 0")
 end
 
+local function parse_fault(options, part)
+  local name, number = part:match("^(%l*)=?(%d+)$")
+  demand(name == "" or name == "frame", "it is fault, fault,3 or fault,frame=719")
+  options[name == "" and "number" or "at"] = tonumber(number)
+end
+
 -- The statistics ----------------------------------------------------------------------------------
 
 -- name     behind -z yapp,
@@ -155,6 +162,17 @@ M.LIST = {
     columns = lists.COLUMNS.faults,
     options = "json",
     help = "when each fault rose and fell",
+    looks_for_faults = true,
+  },
+  {
+    name = "fault",
+    title = "Fault",
+    new = fault.new,
+    columns = fault.COLUMNS,
+    options = "json, frame=NUMBER",
+    parse = parse_fault,
+    help = "the card of one fault: what changed before it",
+    ask = "Number of the fault, or frame=NUMBER (empty: the first)",
     looks_for_faults = true,
   },
   {
@@ -227,9 +245,9 @@ end
 -- catalogue  compiled
 -- returns    { what =, row = of LIST, filter = or nil,
 --            json = true and other words of the row's options, if they were given,
---            statistics = LIST; folder, chosen = of csv; rules, junit = of check;
---            looks_for_faults = true if a rule is about faults; problems = list of texts, each
---            names its option }
+--            statistics = LIST; number, at = of fault; folder, chosen = of csv; rules, junit = of
+--            check; looks_for_faults = true if a rule is about faults; problems = list of texts,
+--            each names its option }
 function M.parse(text, catalogue)
   local head, filter = text:match("^(.-),%s*filter%s*=(.*)$") -- a display filter, commas and all
   local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")
