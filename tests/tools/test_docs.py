@@ -63,9 +63,9 @@ def test_the_package_has_the_plugins_version():
     assert package[1] == plugin[1]
 
 
-def test_all_brings_what_the_recipes_use():
+def test_all_and_recipes_bring_what_the_recipes_use():
     extras = tomllib.loads((TOP / "tools/pyproject.toml").read_text())["project"]["optional-dependencies"]
-    wanted, brought = ["all"], set()
+    wanted, brought = ["all", "recipes"], set()
     for extra in wanted:
         for requirement in extras[extra]:
             name, more = re.match(r"([\w-]+)(?:\[(.*)\])?", requirement).groups()

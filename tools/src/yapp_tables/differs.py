@@ -1,73 +1,128 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Which controller is different from the others of its message: the rules that docs/tables.md states."""
+"""Which controller is different from the others of its message: the rules that docs/tables.md states.
+
+An innocent one must not be accused. So the others have to agree among themselves, nobody of them may be where the odd
+one is, and nobody is compared while a Command is disabled or lost, or the controller itself reboots or is silent.
+"""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from .matrix import DEGREES, Part
 from .series import Array, Source, numbers
-from .tables import Column, Message
+from .words import minute
 
 Record = dict[str, Any]
-DEGREES, SECONDS = 10.0, 20  # a temperature apart from the others, for so long
+Windows = Sequence[tuple[float, float]]  # begin and end, in seconds since the report's start
+HOT, COLD, SECONDS = 10.0, 20.0, 20  # a temperature above or below the others, for so long
 FOLLOWS, SHARE = 2.0, 0.002  # times worse than the others, and of the largest command
 LOAD, SPREADS = 1.25, 4.0  # times the others' level, and further away than they lie apart
 SURGE, STEPS = 1.8, 2  # times the others' value at the same moment, for so many messages
 APART = 0.1  # and by this share of the largest value of a flight
+ALIKE = 0.03  # of its speed: peers turn as fast
+AGREE = 2 / 3  # of the others have to be alike
 ABSENT = 0.95  # of all samples
+FLYING = 0.3  # of the usual highest speed
+DIP = 0.9  # of the usual voltage
 AROUND = 10.0  # seconds before and after a fault
 
 
-def differing(message: Message, found: list[Source], alarms: set[str]) -> list[Record]:
-    """Return {source, text, at} of each controller that is different; at: in seconds since the report's start.
+def flying(part: Part) -> list[tuple[float, float]]:
+    """Return the stretches of flight: most controllers turn faster than FLYING of their usual highest speed."""
+    pair = part.speed()
+    if pair is None:
+        return []
+    grid = np.abs(_by_second(part.found, part.values[pair[0].name]))
+    with warnings.catch_warnings(action="ignore"):
+        speed = np.nanmedian(grid, axis=0)
+    if not np.isfinite(speed).any():
+        return []
+    is_flying = speed > FLYING * np.nanquantile(speed, 0.95)
+    for begin, end in _runs(~is_flying, 1):  # a short break is none
+        if begin > 0 and end < len(speed) and end - begin < 5:
+            is_flying[begin:end] = True
+    return sorted((float(begin), float(end)) for begin, end in _runs(is_flying, 5))
 
-    alarms: flags that are faults. How a controller follows its command around a fault does not count.
+
+def calm_samples(source: Source, flight: Windows, excused: Windows) -> Array:
+    """Return which samples can be compared: in flight, if one is known, and not excused; (n) bool."""
+    use = np.full(len(source.times), not flight)
+    for begin, end in flight:
+        use |= (source.times >= begin) & (source.times < end)
+    for begin, end in excused:
+        use &= (source.times < begin) | (source.times > end)
+    return use
+
+
+def differing(part: Part, alarms: set[str]) -> list[Record]:
+    """Return {source, kind, field, text, at, end, ...} of each controller that is different.
+
+    alarms: flags that are faults.
     """
+    names = [name for name in part.values if part.message.columns[name].role == "value"]
     said: list[Record] = []
-    names = [name for name, column in message.columns.items() if column.role == "value"]
-    names = [name for name in names if name in found[0].rows.schema.names]
-    for name in names if len(found) > 1 else ():
-        title, unit = message.columns[name].title, message.columns[name].unit
-        values = [numbers(source.rows[name]) for source in found]
-        said += _absent(found, name, title)
-        if unit in ("°C", "C", "degC"):
-            said += _temperature(found, values, title)
+    if len(part.found) < 2:
+        return said
+    supply, speed, peers = part.supply(), part.speed(), _peers(part)
+    for name in names:
+        column = part.message.columns[name]
+        values = [np.where(use, own, np.nan) for use, own in zip(part.calm, part.values[name], strict=True)]
+        about = {"field": name, "title": column.title, "unit": column.unit, "is_supply": column in (supply or ())}
+        found: list[Record] = _absent(part, name)
+        if column.unit in DEGREES:
+            found += _temperature(part.found, values)
         elif name.endswith("_measured") and (command := name.replace("_measured", "_commanded")) in names:
-            said += _following(found, values, [_commands(source, command, alarms) for source in found], title)
-        elif unit in ("A", "V", "W"):
-            said += _level(found, values, title, unit)
+            told = zip(part.found, part.values[command], strict=True)
+            found += _following(values, [_commands(source, own, alarms) for source, own in told])
+        elif column.unit in ("A", "V", "W") and column.difference is None:
+            found += _level(part.found, values, peers)
+        if supply and name == supply[1].name:
+            found += _surges(part.found, values)
+        for row in found:
+            source = part.found[row.pop("number")]
+            said.append({"source": source.name, "at": 0.0, "end": None} | about | row)
+    if speed:
+        followed = {row["source"] for row in said if row["kind"] == "follows" and row["field"] == speed[0].name}
+        said = [row for row in said if row["kind"] != "follows" or row["source"] not in followed
+                or row["field"] == speed[0].name]  # fmt: skip
     return said
 
 
-def _absent(found: list[Source], name: str, title: str) -> list[Record]:
+def _absent(part: Part, name: str) -> list[Record]:
     """Name those that say "not connected" (the reserved value NaN) all the time, where others have a value."""
     special = f"{name}_special"
-    if special not in found[0].rows.schema.names:
+    if special not in part.found[0].rows.schema.names:
         return []
-    shares = [np.mean(np.asarray(source.rows[special].to_pylist(), object) == "nan") for source in found]
+    shares = [np.mean(np.asarray(source.rows[special].to_pylist(), object) == "nan") for source in part.found]
     if min(shares) > 1 - ABSENT:
         return []
-    text = f"{title} not connected, whole flight"
-    return [_said(source, text, source.times[0]) for source, share in zip(found, shares, strict=True) if share > ABSENT]
+    text = f"{part.message.columns[name].title} not connected, whole flight"
+    return [_said(number, "absent", text) for number, share in enumerate(shares) if share > ABSENT]
 
 
-def _temperature(found: list[Source], values: list[Array], title: str) -> list[Record]:
-    grid = _by_second(found, values)
-    said = []
-    for number, source in enumerate(found):
-        others = np.delete(grid, number, axis=0)
+def _temperature(found: Sequence[Source], values: list[Array]) -> list[Record]:
+    """Find who is HOT away from the others for SECONDS: the longest stretch."""
+    grid, said = _by_second(found, values), []
+    for number, own in enumerate(grid):
+        middle, is_odd = _beside(grid, number, HOT, 1)
         for sign, word in ((1, "hotter"), (-1, "cooler")):
             if sign < 0 and len(found) == 2:  # of two, the hot one is said
                 continue
-            away = sign * (grid[number] - _typical(others, sign))
-            for begin, end in _runs(away > DEGREES)[:1]:
-                what = "the median of the others" if len(found) > 2 else "the other one"
-                until = "on" if end >= source.times[-1] - 5 else f"to {end} s"
-                text = f"{title} {np.nanmedian(away[begin:end]):.0f} °C {word} than {what} from {begin} s {until}"
-                said.append(_said(source, text, float(begin)))
+            away = sign * (own - middle)
+            for begin, end in _runs((away > (HOT if sign > 0 else COLD)) & is_odd)[:1]:
+                last = float(np.nanmedian(own[max(begin, end - 10) : end]))
+                apart = float(np.nanmedian(away[max(begin, end - 10) : end]))
+                minutes = np.arange(begin, end)[-60:] / 60
+                good = np.isfinite(own[begin:end][-60:])
+                slope = float(np.polyfit(minutes[good], own[begin:end][-60:][good], 1)[0]) if good.sum() > 9 else 0.0
+                text = f"{last:.0f} °C at {minute(end)}, {apart:.0f} °C {word} than the others, from {minute(begin)} on"
+                more = {"at": float(begin), "end": float(end), "value": last, "away": sign * apart, "slope": slope}
+                said.append(_said(number, "temperature", text) | more)
     return said
 
 
@@ -78,9 +133,8 @@ def _runs(holds: Array, least: int = SECONDS) -> list[tuple[int, int]]:
     return sorted((run for run in found if run[1] - run[0] >= least), key=lambda run: run[0] - run[1])
 
 
-def _commands(source: Source, name: str, alarms: set[str]) -> Array:
+def _commands(source: Source, command: Array, alarms: set[str]) -> Array:
     """Return what a controller was told; NaN around its faults."""
-    command = numbers(source.rows[name])
     for flag in alarms:
         at = source.times[numbers(source.rows[flag]) > 0]
         after = np.searchsorted(at, source.times, side="right")
@@ -90,40 +144,65 @@ def _commands(source: Source, name: str, alarms: set[str]) -> Array:
     return command
 
 
-def _following(found: list[Source], values: list[Array], commands: list[Array], title: str) -> list[Record]:
+def _following(values: list[Array], commands: list[Array]) -> list[Record]:
     """Compare the mean distance from the command; its largest 2 % do not count: a fault is said elsewhere."""
-    errors = []
-    for measured, command in zip(values, commands, strict=True):
+    errors = np.full(len(values), np.nan)
+    for number, (measured, command) in enumerate(zip(values, commands, strict=True)):
         away = np.sort(np.abs(measured - command)[np.isfinite(measured - command)])
-        errors.append(float(away[: int(len(away) * 0.98)].mean()) if len(away) > 50 else np.nan)
+        if len(away) > 50:
+            errors[number] = away[: int(len(away) * 0.98)].mean()
     finite = [np.nanmax(np.abs(command)) for command in commands if np.isfinite(command).any()]
     least = SHARE * max(finite, default=0.0)
     said = []
-    for number, source in enumerate(found):
-        others = float(_typical(np.delete(errors, number)[:, None], 1)[0])
-        if errors[number] > max(FOLLOWS * others, least) and others > 0:
-            text = f"{title} follows its command {errors[number] / others:.1f} times worse than the others"
-            said.append(_said(source, text, source.times[0]))
+    for number, error in enumerate(errors):
+        others = np.delete(errors, number)
+        others = others[np.isfinite(others)]
+        usual = float(np.median(others) if len(others) > 2 else others.max(initial=0.0))
+        if error > max(FOLLOWS * usual, least) and usual > 0:
+            times = error / usual
+            said.append(_said(number, "follows", f"follows its command {times:.1f} times worse than the others"))
     return said
 
 
-def _level(found: list[Source], values: list[Array], title: str, unit: str) -> list[Record]:
-    """Compare the median of the flight; it needs three others that agree."""
+def _peers(part: Part) -> list[list[int]]:
+    """Return the others that turned as fast as each source; all others where these are fewer than three."""
+    pair = part.speed()
+    levels = np.full(len(part.found), np.nan)
+    if pair:
+        both = zip(part.calm, part.values[pair[0].name], strict=True)
+        levels = np.array(
+            [np.nanmedian(np.abs(own[use])) if np.isfinite(own[use]).any() else np.nan for use, own in both]
+        )
+    peers = []
+    for number, level in enumerate(levels):
+        others = [other for other in range(len(levels)) if other != number]
+        alike = [other for other in others if abs(levels[other] - level) <= ALIKE * level]
+        peers.append(alike if len(alike) > 2 else others)
+    return peers
+
+
+def _level(found: Sequence[Source], values: list[Array], peers: list[list[int]]) -> list[Record]:
+    """Compare the median of the flight; it needs three peers that agree."""
     levels = np.array([np.nanmedian(each) if np.isfinite(each).any() else np.nan for each in values])
-    said = []
-    for number, source in enumerate(found if len(found) > 3 else ()):
-        others = np.delete(levels, number)
-        middle, apart = float(np.nanmedian(others)), float(np.nanmax(others) - np.nanmin(others))
-        away = levels[number] - middle
-        if abs(away) > max((LOAD - 1) * abs(middle), SPREADS * apart) and abs(away) > 1:
-            word = "higher" if away > 0 else "lower"
-            text = f"{title} {abs(away):.3g} {unit} {word} than the median of the others"
-            said.append(_said(source, text, source.times[0]))
+    said: list[Record] = []
+    for number, level in enumerate(levels if len(found) > 3 else ()):
+        others = levels[peers[number]]
+        others = others[np.isfinite(others)]
+        middle = float(np.median(others)) if len(others) > 2 else np.nan
+        near = np.sort(np.abs(others - middle))[: int(np.ceil(AGREE * len(others)))]
+        away = abs(level - middle)
+        if away > max((LOAD - 1) * abs(middle), SPREADS * 2 * near.max(initial=0.0), 1.0):
+            with warnings.catch_warnings(action="ignore"):
+                grid = _by_second(found, values)
+                far = np.abs(grid[number] - np.nanmedian(grid[peers[number]], axis=0)) > away / 3
+            share = float(far[np.isfinite(grid[number])].mean())
+            more = {"value": float(level), "beside": middle, "share": share}
+            said.append(_said(number, "level", "higher" if level > middle else "lower") | more)
     return said
 
 
-def surges(found: list[Source], values: list[Array], column: Column) -> list[Record]:
-    """Return {source, text, at, end, times} of who had a multiple of what the others had at the same moment."""
+def _surges(found: Sequence[Source], values: list[Array]) -> list[Record]:
+    """Find who had a multiple of what the others had at the same moment."""
     if len(found) < 3:
         return []
     every = max(source.every for source in found)
@@ -135,34 +214,55 @@ def surges(found: list[Source], values: list[Array], column: Column) -> list[Rec
     grid[:, 1:] = np.where(np.isnan(grid[:, 1:]), grid[:, :-1], grid[:, 1:])
     largest = np.nanmax(np.abs(grid), initial=0.0)
     said = []
-    for number, source in enumerate(found):
-        others = _typical(np.delete(grid, number, axis=0), 1)
-        away = np.abs(grid[number] - others)
-        usual = float(np.nanquantile(away, 0.95)) if np.isfinite(away).any() else 0.0
-        far = (grid[number] > SURGE * np.abs(others)) & (grid[number] - others > max(APART * largest, 2 * usual))
-        runs = _runs(far, STEPS)
-        if runs:
-            begin, end = runs[0]
-            times = float(np.median(grid[number][begin:end] / np.maximum(others[begin:end], 1e-9)))
-            peak = float(np.nanmax(grid[number][begin:end]))
-            text = f"{column.title} {peak:.3g} {column.unit}, {times:.1f} times the others'"
-            text += f" for {(end - begin) * every:.2g} s"
-            more = f", and {len(runs) - 1} times more" if len(runs) > 1 else ""
-            about = {"times": times, "end": end * every, "length": (end - begin) * every}
-            said.append(_said(source, text + more, begin * every) | about)
+    for number, own in enumerate(grid):
+        middle, is_odd = _beside(grid, number, APART * largest, 0)
+        away = own - middle
+        usual = float(np.nanquantile(np.abs(away), 0.95)) if np.isfinite(away).any() else 0.0
+        far = is_odd & (own > SURGE * np.abs(middle)) & (away > max(APART * largest, 2 * usual))
+        for begin, end in _runs(far, STEPS)[:1]:
+            times = float(np.median(own[begin:end] / np.maximum(middle[begin:end], 1e-9)))
+            more = {"at": begin * every, "end": end * every, "times": times, "value": float(np.nanmax(own[begin:end]))}
+            said.append(_said(number, "surge", f"{times:.1f} times the others'") | more)
     return said
 
 
-def _typical(others: Array, sign: int) -> Array:
-    """Return the median of three or more; of fewer the one that is nearest to what is far away."""
+def sagging(part: Part, flight: Windows) -> list[Record]:
+    """Find when the supply of most controllers was below DIP of what it was a minute around."""
+    pair = part.supply()
+    if pair is None:
+        return []
     with warnings.catch_warnings(action="ignore"):
-        if len(others) > 2:
-            known = np.where(np.isfinite(others).sum(axis=0) > 1, 1.0, np.nan)
-            return np.asarray(np.nanmedian(np.where(np.isfinite(others), others, np.nan), axis=0) * known)
-        return np.asarray(sign * np.max(sign * others, axis=0))
+        volts = np.nanmedian(_by_second(part.found, part.values[pair[0].name]), axis=0)
+        second = np.arange(len(volts))
+        for begin, end in [(0, flight[0][0]), (flight[-1][1], np.inf)] if flight else []:
+            volts[(second >= begin) & (second < end)] = np.nan
+        usual = np.array([np.nanmedian(volts[max(0, at - 60) : at + 60]) for at in second])
+    about = {"source": "Battery", "kind": "sag", "field": pair[0].name, "title": pair[0].title, "unit": "V"}
+    said = []
+    for begin, end in sorted(_runs(volts < DIP * usual, 2)):
+        low = float(np.nanmin(volts[begin:end]))
+        text = f"{usual[begin]:.1f} to {low:.1f} V, {minute(begin)} to {minute(end)}, all controllers"
+        said.append(about | {"text": text, "at": float(begin), "end": float(end), "value": low, "is_supply": True})
+    return said
 
 
-def _by_second(found: list[Source], values: list[Array]) -> Array:
+def _beside(grid: Array, number: int, near: float, company: int) -> tuple[Array, Array]:
+    """Return what the others have at each moment, and whether a controller that is far from it would be odd: (n), (n).
+
+    The others agree where AGREE of them lie within `near` of their median, all of three or fewer. Of more than six
+    so many others (company) may be where it is.
+    """
+    others = np.delete(grid, number, axis=0)
+    known = np.isfinite(others).sum(axis=0)
+    with warnings.catch_warnings(action="ignore"):
+        middle = np.nanmedian(others, axis=0)
+        is_alike = (np.abs(others - middle) <= near).sum(axis=0)
+        beside = (np.abs(others - grid[number]) < np.abs(grid[number] - middle) / 2).sum(axis=0)
+    needed = np.where(known > 3, np.ceil(AGREE * known), known)
+    return middle, (is_alike >= needed) & (known >= min(2, len(others))) & (beside <= company * (known > 5))
+
+
+def _by_second(found: Sequence[Source], values: list[Array]) -> Array:
     """Return the mean of each source and second, the one before where there is none; NaN after five seconds."""
     length = int(max(source.times[-1] for source in found)) + 1
     grid = np.full((len(found), length), np.nan)
@@ -177,5 +277,5 @@ def _by_second(found: list[Source], values: list[Array]) -> Array:
     return grid
 
 
-def _said(source: Source, text: str, at: float) -> Record:
-    return {"source": source.name, "text": text, "at": float(at)}
+def _said(number: int, kind: str, text: str) -> Record:
+    return {"number": number, "kind": kind, "text": text}

@@ -21,8 +21,8 @@ from .tables import messages as catalogue
 from .tshark import Export, left_out
 
 # The headings of the table of sources.  A newer column of the plugin is not listed: its heading is its name.
-SOURCES = {"source": "source", "bus": "bus", "message": "message", "count": "count", "rate": "rate/Hz"}
-SOURCES |= {"gap_min": "gap min/s", "gap_mean": "gap mean/s", "gap_max": "gap max/s", "gap_max_frame": "at frame"}
+SOURCES = {"source": "source", "bus": "bus", "message": "message", "count": "count", "rate": "rate, Hz"}
+SOURCES |= {"gap_min": "gap min, s", "gap_mean": "gap mean, s", "gap_max": "gap max, s", "gap_max_frame": "at frame"}
 SOURCES |= {"crc_bad": "crc bad"} | {name: name for name in ("incomplete", "late", "reboots")}
 HIDDEN = ("id", "controller", "other")
 

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What went wrong in a flight: events as rows, rows as incidents, and what the top of the page says of them."""
+"""What went wrong in a flight: events as rows, rows as incidents."""
 
 from __future__ import annotations
 
-import html
-from collections.abc import Iterator
-from datetime import UTC, datetime
+from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from .flight import Flight
 from .records import INCIDENT, TOGETHER
@@ -18,6 +18,8 @@ Record = dict[str, Any]
 SINGLE = {
     "reboot": "reboot",
     "silence": "silence",
+    "disabled": "Command disabled",
+    "bus": "bus",
     "absent": "never came",
     "shared": "two controllers share this ID: its other events are left out",
     "jump": "the controller's clock jumped ahead",
@@ -34,9 +36,8 @@ COUNTED = {
     "invalid": "undefined value",
 }
 ELSEWHERE = ("fault", "unknown")  # these have rows of their own
-SERIOUS = ("fault", "reboot", "silence", "absent", "shared")  # these come first
-MORE = 4  # incidents that are told at the top besides the first
-HEADS = ("what", "source", "begin", "seconds", "UTC", "duration", "details")
+SERIOUS = ("fault", "reboot", "silence", "disabled", "bus", "absent", "shared")  # these come first
+CALM = 3.0  # seconds that a controller takes to be as before, after a reboot or a Command that was disabled
 
 
 def flag_of(flight: Flight, event: Record) -> Column | None:
@@ -48,11 +49,63 @@ def flag_of(flight: Flight, event: Record) -> Column | None:
     return next((column for column in flags if column.name.endswith(f"_{event['flag']}")), None)
 
 
+def is_command(flight: Flight, message: str | None) -> bool:
+    """Return whether a message has no clock of a controller: it is sent to one, or to all on a bus."""
+    known = flight.messages.get(message or "")
+    return known is not None and not any(column.role == "clock" for column in known.columns.values())
+
+
+def disabled_events(flight: Flight, start: int) -> list[Record]:
+    """Return an event `disabled` for each time a Command's `enabled` goes to 0 while a motor of its bus turns."""
+    found: list[Record] = []
+    if "enabled" not in (flight.messages["command"].columns if "command" in flight else ()):
+        return found
+    motors = flight["motor"].sort_by("time") if "motor" in flight else None
+    for bus in motors["bus"].unique().to_pylist() if motors is not None else ():
+        motor, command = (_of_bus(table, bus) for table in (motors, flight["command"].sort_by("time")))
+        speed, when = np.abs(np.nan_to_num(motor["rpm_measured"].to_numpy())), motor["time"].cast("int64").to_numpy()
+        told, at = command["enabled"].cast("int64").to_numpy(), command["time"].cast("int64").to_numpy()
+        for index in np.flatnonzero((told[1:] == 0) & (told[:-1] == 1)) + 1:
+            now = speed[(when > at[index] - 10**9) & (when <= at[index])]
+            if now.max(initial=0.0) > 0.1 * speed[when <= at[index]].max(initial=0.0):
+                again = np.flatnonzero(told[index:])[:1]
+                length = float((at[index + again[0]] - at[index]) / 1e9) if len(again) else None
+                row = command.slice(index, 1).to_pylist()[0]
+                event = dict.fromkeys(flight.events.schema.names) | {"kind": "disabled", "message": "command"}
+                event |= {"at": (int(at[index]) - start) / 1e9, "length": length}
+                found.append(event | {name: row[name] for name in ("bus", "id", "source", "controller", "frame")})
+    return found
+
+
+def _of_bus(table: Any, bus: str | None) -> Any:
+    return table.filter(np.array([each == bus for each in table["bus"].to_pylist()], bool))
+
+
+def excused(events: list[Record], names: Mapping[tuple[str | None, int], str]) -> dict[str, list[tuple[float, float]]]:
+    """Return when a source is not compared: around its own reboots and silences, and a Command lost or disabled.
+
+    names: {(bus, ID): name of the source}.
+    """
+    windows: dict[str, list[tuple[float, float]]] = {}
+    for event in events:
+        if event["kind"] not in ("reboot", "silence", "disabled"):
+            continue
+        span = event["at"] - 0.2, event["at"] + (event["length"] or 0.0 if event["kind"] != "disabled" else
+                                                 event["length"] or np.inf) + CALM  # fmt: skip
+        for (bus, number), name in names.items():
+            is_its = event["controller"] is not None and (number ^ (event["id"] or 0)) & 0xF == 0
+            if bus == event["bus"] and (event["is_command"] or is_its):
+                windows.setdefault(name, []).append(span)
+    return windows
+
+
 def _row(event: Record, what: str, **more: object) -> Record:
     about = {"kind": event["kind"], "what": what, "source": event["who"], "bus": event["bus"], "id": event["id"]}
     about |= {
         "controller": event["controller"],
         "message": event["title"],
+        "is_command": event["is_command"],
+        "every": event["every"],
         "begin": event["at"],
         "end": event["at"],
         "length": None,
@@ -84,13 +137,17 @@ def fault_rows(flight: Flight, events: list[Record], end: float) -> list[Record]
 
 
 def other_rows(flight: Flight, events: list[Record]) -> list[Record]:
-    """Reboots and silences one by one; what may come often as one row for each source and message."""
+    """Reboots, silences and the like one by one; what may come often as one row for each source and message."""
     rows: dict[tuple[str, ...], Record] = {}
     for number, event in enumerate(events):
         kind, length = event["kind"], event["length"] or 0.0
         if kind in ELSEWHERE:
             continue
         what = SINGLE.get(kind) or COUNTED.get(kind) or str(kind)
+        if kind == "silence" and event["is_command"]:
+            what = "Commands lost"
+        if kind == "bus":
+            what = f"bus {str(event['what']).replace('_', ' ')}"
         if kind == "invalid":
             what = f"{what}: {_value(flight, event)}"
         key = (kind, event["who"], event["title"], what) if kind not in SINGLE else (str(number),)
@@ -98,8 +155,10 @@ def other_rows(flight: Flight, events: list[Record]) -> list[Record]:
         row["count"] += event["count"] or 1
         row["at"].append(event["at"])
         row["end"] = event["at"]
-        if kind == "silence":
+        if kind in ("silence", "disabled"):
             row["end"], row["length"] = event["at"] + length, length
+        if kind == "disabled" and event["length"] is None:
+            row["end"] = None
         if kind == "skipped":
             row["bytes"] = (row["bytes"] or 0) + int(length)
     return list(rows.values())
@@ -113,8 +172,20 @@ def _value(flight: Flight, event: Record) -> str:
     return f"{column.title if column else event['field']} {int(value):#x}" if value.isdigit() else value
 
 
+def filter_of(rows: list[Record], first: int, last: int) -> str:
+    """Return the display filter of frames: those of the rows' IDs."""
+    ids = sorted({row["id"] for row in rows if row["id"] is not None})
+    bus = next((row["bus"] for row in rows if row["bus"]), None)
+    parts = [f"frame.number >= {first}", f"frame.number <= {last}"]
+    parts += [f'yapp.bus == "{bus}"'] if bus else []
+    return " && ".join(parts + ([f"yapp.id in {{{', '.join(map(hex, ids))}}}"] if ids else []))
+
+
 def joined(rows: list[Record]) -> list[Record]:
-    """Join faults, silence and reboot of one controller that belong together to one row with its details."""
+    """Join faults, silence and reboot of one controller that belong together to one incident, with its rows.
+
+    A silence or a reboot is that of the message that comes most often: the others see it later.
+    """
     found: list[Record] = []
     latest: dict[object, Record] = {}
     for row in sorted(rows, key=lambda row: float(row["begin"])):
@@ -124,159 +195,22 @@ def joined(rows: list[Record]) -> list[Record]:
             last["rows"].append(row)
             last["until"] = None if last["until"] is None or row["end"] is None else max(last["until"], row["end"])
             continue
-        incident = {"begin": row["begin"], "until": row["end"], "source": row["source"], "rows": [row]}
+        incident = {"until": row["end"], "rows": [row]}
         found.append(incident)
         if row["kind"] in INCIDENT and one:
             latest[one] = incident
     for incident in found:
-        whats = dict.fromkeys(row["what"] for row in incident["rows"])
-        incident["what"] = ", ".join(whats)
-        incident["is_fault"] = any(row["kind"] == "fault" for row in incident["rows"])
-        incident["is_serious"] = any(row["kind"] in SERIOUS for row in incident["rows"])
-        fault = next((row for row in incident["rows"] if row["kind"] == "fault"), incident["rows"][0])
-        incident["source"] = fault["source"]
-    return found
-
-
-# ---- as HTML
-
-
-def head(data: Record) -> dict[str, str]:
-    """Return of which flight the page is: texts by their mark in report.html."""
-    day = f"{datetime.fromtimestamp(data['epoch'], UTC):%Y-%m-%d}"
-    about = (
-        f"<span><span class=pale>{html.escape(name)}</span> {html.escape(text)}</span>" for name, text in data["about"]
-    )
-    doubts = [text for text in data["left_out"] if text != data["undecoded"]]
-    level = f"Never changed: {'; '.join(data['level'])}." if data["level"] else ""
-    return {
-        "/*NAME*/": html.escape(data["name"]),
-        "/*WHEN*/": f"{day} {_utc(data, 0)} UTC, {_duration(data['length'])}",
-        "/*ABOUT*/": "".join(about),
-        "/*PARTIAL*/": html.escape(" · ".join(doubts)),
-        "/*BEGIN*/": _utc(data, 0),
-        "/*LEVEL*/": html.escape(level),
-    }
-
-
-def undecoded(data: Record) -> str:
-    """Return what was not decoded."""
-    return f"{html.escape(data['undecoded'])}." if data["undecoded"] else ""
-
-
-def verdict(data: Record) -> str:
-    """Return what went wrong first: a fault, else what is serious, else anything."""
-    incidents = data["incidents"]  # the serious ones come first
-    first = next((row for row in incidents if row["is_fault"]), incidents[0] if incidents else None)
-    where = " in what was decoded" if data["left_out"] else ""
-    if first is None:
-        return "" if data["differs"] else f"Nothing{where}."
-    lead = "" if first["is_fault"] else f"No fault{where}. "
-    times = sum(row["count"] for row in first["rows"])
-    often = f", {times} times" if times > 1 and not first["is_serious"] else ""
-    lasts = "" if often else _length(first, data["length"])
-    many = f"{len(incidents)} incident{'s' * (len(incidents) != 1)} in all."
-    return (
-        f"{lead}<b class=bad>{html.escape(first['what'])}</b> on <b>{html.escape(first['label'])}</b> at "
-        f"{_when(data, first['begin'])}{lasts}{often}. <span class=pale>{many}</span>"
-    )
-
-
-def besides(data: Record) -> str:
-    """Return the other serious incidents as a list, the longest first, and who is different from the others."""
-    serious = [row for row in data["incidents"] if row["is_serious"]]
-    first = next((row for row in serious if row["is_fault"]), serious[0] if serious else None)
-    others = sorted((row for row in serious if row is not first), key=lambda row: _seconds(row, data["length"]))
-    items = []
-    for row in others[: -MORE - 1 : -1]:
-        lasts = _length(row, data["length"])
-        items.append(
-            (f"{row['label']}: {row['what']} at {_clock(row['begin'])}{lasts}", row["begin"], row["until"], "bad")
-        )
-    items += [(f"{row['label']}: {row['text']}", row["at"], row.get("end"), "") for row in data["differs"]]
-    return "".join(f"<li class='{kind}' {_zoom(begin, end)}>{_button(text)}</li>" for text, begin, end, kind in items)
-
-
-def table(data: Record) -> str:
-    """Return a row for each incident; its button zooms to it, another one unfolds what it is made of."""
-    heads = "".join(f"<th>{head}</th>" for head in HEADS)
-    return f"<thead><tr>{heads}</tr></thead><tbody>{''.join(_lines(data))}</tbody>"
-
-
-def _lines(data: Record) -> Iterator[str]:
-    for incident in data["incidents"]:
         rows = incident["rows"]
-        details = _details(rows[0])
-        if len(rows) > 1:
-            details = f"<button type=button aria-expanded=false>{len(rows)} events</button>"
-        kind = "fault" if incident["is_fault"] else ""
-        yield _line(data, kind, incident, incident["until"], details)
-        for row in rows if len(rows) > 1 else ():
-            yield _line(data, "part", row, row["end"], _details(row))
-
-
-def _line(data: Record, kind: str, row: Record, end: float | None, details: str) -> str:
-    begin = row["begin"]
-    length = _duration(end - begin) if end is not None and end > begin else ""
-    if end is None:
-        length = f"still active, {_duration(data['length'] - begin)}"
-    numbers = (_clock(begin), _plain_seconds(begin), _utc(data, begin), length)
-    cells = "".join(f"<td class=number>{text}</td>" for text in numbers)
-    return (
-        f"<tr class='{kind}' {_zoom(begin, end)}{' hidden' * (kind == 'part')}><td>{_button(row['what'])}</td>"
-        f"<td>{html.escape(row['label'])}</td>{cells}<td class=long>{details}</td></tr>"
-    )
-
-
-def _details(row: Record) -> str:
-    count = f"{row['count']} times" if row["count"] > 1 else ""
-    size = f"{row['bytes']} bytes" if row["bytes"] else ""
-    return html.escape(", ".join(text for text in (count, size, row["message"], row["help"]) if text))
-
-
-def _button(text: str) -> str:
-    return f"<button type=button class=row>{html.escape(text)}</button>"
-
-
-def _zoom(begin: float, end: float | None) -> str:
-    return f"data-begin={begin!r} data-end={'' if end is None else repr(end)}"
-
-
-def _seconds(row: Record, whole: float) -> float:
-    return float(whole if row["until"] is None else row["until"]) - float(row["begin"])
-
-
-def _length(row: Record, whole: float) -> str:
-    if row["until"] is None or row["until"] >= whole - 1:
-        return ", until the end"
-    return f", for {_duration(row['until'] - row['begin'])}" if row["until"] > row["begin"] else ""
-
-
-# ---- times as people read them
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 1:
-        return f"{seconds * 1000:.6g} ms"
-    if seconds < 60:
-        return _plain_seconds(seconds)
-    return f"{int(seconds // 60)} min {_plain_seconds(seconds % 60)}"
-
-
-def _plain_seconds(seconds: float) -> str:
-    return f"{seconds:.3f}".rstrip("0").rstrip(".") + " s"
-
-
-def _clock(seconds: float) -> str:
-    """612.439 is 10:12.439."""
-    minutes, rest = divmod(round(abs(seconds) * 1000), 60_000)
-    return f"{'-' * (seconds < 0)}{minutes}:{rest // 1000:02}.{rest % 1000:03}"
-
-
-def _utc(data: Record, seconds: float) -> str:
-    whole, part = divmod(round((data["epoch"] + seconds) * 1000), 1000)
-    return f"{datetime.fromtimestamp(whole, UTC):%H:%M:%S}.{part:03}"
-
-
-def _when(data: Record, seconds: float) -> str:
-    return f"{_clock(seconds)} ({_plain_seconds(seconds)}), {_utc(data, seconds)} UTC"
+        fastest = min(row["every"] for row in rows)
+        first = [row for row in rows if row["every"] == fastest or row["kind"] == "fault"]
+        incident["begin"] = min(row["begin"] for row in first)
+        ends = [row["end"] for row in first]
+        incident["until"] = None if None in ends else max(ends)
+        incident["kinds"] = sorted({row["kind"] for row in rows})
+        incident["what"] = ", ".join(dict.fromkeys(row["what"] for row in rows))
+        incident["is_fault"] = any(row["kind"] == "fault" for row in rows)
+        incident["is_serious"] = any(row["kind"] in SERIOUS for row in rows)
+        fault = next((row for row in rows if row["kind"] == "fault"), rows[0])
+        incident["source"], incident["stopped"] = fault["source"], rows[0].get("stopped")
+        incident["first"], incident["last"] = min(row["first"] for row in rows), max(row["last"] for row in rows)
+    return found

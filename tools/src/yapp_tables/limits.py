@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Limits of values, out of a file of rules for -z yapp,check, and what they say of a flight."""
+"""Limits of values, out of a file of rules for -z yapp,check or a default set, and what they say of a flight."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +16,22 @@ from .tables import Column
 
 Record = dict[str, Any]
 RANGE = re.compile(r"(\w+)\.(\w+)(?:\.value)?=(-?[\d.]*?)\.\.(-?[\d.]*)")
-RATE = 60.0  # seconds: how fast a value moves is taken over so long
-AMBER = 0.1  # of the way from a typical value to a limit
+# Ours, not the vendor's: what electronics and windings usually bear.
+DEFAULTS = (
+    "motor.motor_temperature=..120", "motor.esc_temperature=..100", "health.cpu_temperature=..105",
+    "health.capacitor_temperature=..105", "health.fet_temperature=..120",
+)  # fmt: skip
 
 
 class Limits:
     """The rules that are ranges, `motor.dc_voltage=40..55`; of a source where they stand below `source=NAME`."""
 
     def __init__(self, path: Path | None = None) -> None:
-        """path: a file of rules, None for no limits. Raises SetupError."""
+        """path: a file of rules, None for the default set. Raises SetupError."""
+        self.is_default, self.name = path is None, path.name if path else ""
         self.ranges: dict[tuple[str, str, str], tuple[float, float]] = {}
         source = ""
-        for line in _lines(path) if path else ():
+        for line in _lines(path) if path else DEFAULTS:
             text = line.partition("#")[0].strip()
             if text.startswith("source="):
                 source = text.removeprefix("source=")
@@ -41,7 +46,7 @@ class Limits:
         return max(own[0], general[0]), min(own[1], general[1])
 
 
-def _lines(path: Path) -> list[str]:
+def _lines(path: Path) -> Sequence[str]:
     try:
         return path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -50,31 +55,46 @@ def _lines(path: Path) -> list[str]:
 
 
 def minutes_left(source: Source, values: Array, high: float) -> float | None:
-    """Return how long it takes to a limit at the latest rate; None where it moves away from it or not at all."""
-    good = np.isfinite(values) & (source.times > source.times[-1] - RATE)
-    times, latest = source.times[good], values[good]
-    if len(times) < 3 or not np.isfinite(high) or times[-1] - times[0] < RATE / 2:
+    """Return how long it takes to a limit; None where it moves away from it, or will stay below.
+
+    The rise of the last minute is compared with that of the minute before: what slows down goes on to slow down.
+    """
+    good = np.isfinite(values)
+    times, known = (source.times[good] - source.times[-1]) / 60, values[good]
+    rates = []
+    for begin in (-2.0, -1.0):
+        use = (times > begin) & (times <= begin + 1)
+        if not np.isfinite(high) or use.sum() < 3 or np.ptp(times[use]) < 0.5:
+            return None
+        rates.append(np.polyfit(times[use], known[use], 1)[0])
+    before, rate = rates
+    need = high - float(np.median(known[times > -0.1]))
+    if rate < 1 or need <= 0:
         return None
-    slope, now = np.polyfit(times - times[-1], latest, 1)
-    return float((high - now) / slope / 60) if slope * RATE > 1 and now < high else None
+    share = rate / before if before > rate else 1.0
+    if share > 0.97:
+        return float(need / rate)
+    slowed = 1 - need * (1 - share) / (rate * share)
+    return float(np.log(slowed) / np.log(share)) if slowed > 0 else None
 
 
 def beyond(source: Source, values: Array, limits: tuple[float, float], column: Column) -> list[Record]:
-    """Say when a value was outside its limits first, how far at most, and for how long."""
+    """Say when a value was outside its limits first and last, how far at most, and for how long."""
     found = []
+    about = {"source": source.name, "field": column.name, "title": column.title, "unit": column.unit}
     for is_high, limit in ((False, limits[0]), (True, limits[1])):
         out = values > limit if is_high else values < limit
-        if not out.any():
-            continue
-        extreme = np.nanmax(values) if is_high else np.nanmin(values)
-        word = "above" if is_high else "below"
-        unit = f" {column.unit}" if column.unit else ""
-        length = float(out.sum() * source.every)
-        text = f"{column.title} {extreme:.4g}{unit}, {word} its limit of {limit:g}{unit} for {length:.3g} s"
-        found.append({"source": source.name, "text": text, "at": float(source.times[out][0])})
+        if out.any():
+            value = float(np.nanmax(values) if is_high else np.nanmin(values))
+            times = source.times[out]
+            word = "above" if is_high else "below"
+            span = {"at": float(times[0]), "end": float(times[-1] + source.every), "word": word}
+            found.append(about | span | {"kind": "limit", "value": value, "limit": limit,
+                                         "seconds": float(out.sum() * source.every)})  # fmt: skip
     left = minutes_left(source, values, limits[1])
     if left is not None and left < 10 and not found:
-        most = f"{limits[1]:g} {column.unit}"
-        text = f"{column.title} reaches its limit of {most} in {left:.2g} minutes at the latest rate"
-        found.append({"source": source.name, "text": text, "at": float(source.times[-1]) - RATE})
+        at = float(source.times[-1])
+        now = float(values[np.isfinite(values)][-1])
+        found.append(about | {"kind": "left", "at": at - 60, "end": at, "limit": limits[1], "value": now,
+                              "seconds": left * 60})  # fmt: skip
     return found

@@ -17,6 +17,7 @@ from .tables import Column, Message
 
 Record = dict[str, Any]
 DEGREES = ("°C", "C", "degC")
+DIGITS = {"°C": 0, "V": 2, "A": 2, "W": 0, "RPM": 0, "Wh": 1, "Ah": 3, "min": 1}  # behind the point
 SAG = 10  # seconds: a voltage is compared with its highest of so long before
 # How many times as far from the others' median as they usually are, for each shade.
 SHADES = (4.0, 8.0, 16.0)
@@ -27,12 +28,17 @@ LEAST = {"°C": 1.0, "": 0.1, "min": 1.0, "V": 0.05, "A": 0.1, "W": 1.0, "RPM": 
 
 @dataclass
 class Part:
-    """One message of a flight. found: its sources; whose: their numbers on the page; values: those of each field."""
+    """One message of a flight. found: its sources; whose: their numbers on the page; values: those of each field.
+
+    flying, calm: of each source, which samples are of the flight, and which of these can be compared.
+    """
 
     message: Message
     found: list[Source]
     whose: list[int]
     values: dict[str, list[Array]]
+    flying: list[Array] = field(default_factory=list)
+    calm: list[Array] = field(default_factory=list)
 
     def fields(self, *units: str) -> list[Column]:
         """Return the values that have one of these units and were measured."""
@@ -130,6 +136,8 @@ class Matrix:
     ) -> None:
         """Measure a value of each source; none where it never had one."""
         values = part.values[column.name] if values is None else values
+        if "mean" in what:
+            values = [np.where(use, own, np.nan) for use, own in zip(part.flying, values, strict=True)]
         for source, who, own in zip(part.found, part.whose, values, strict=True):
             controller = self.sources[who]["controller"]
             value = measure(source, own) if np.isfinite(own).any() and controller in self.labels else None
@@ -142,7 +150,7 @@ class Matrix:
         """Return it as a table; a click on a row shows the lines of this controller only."""
         measures = [one for one in self.measures.values() if one.cells]
         heads = "".join(
-            f"<th>{html.escape(one.title)}{f'/{html.escape(one.unit)}' * bool(one.unit)}</th>" for one in measures
+            f"<th>{html.escape(one.title)}{f', {html.escape(one.unit)}' * bool(one.unit)}</th>" for one in measures
         )
         lines = [f"<thead><tr><th>controller</th>{heads}</tr></thead>"]
         for who, label in self.labels.items():
@@ -159,13 +167,15 @@ def _cell(measure: Measure, who: int, is_plain: bool = False) -> str:
         return "<td></td>"
     value = measure.cells[who]
     others = np.array([other for one, other in measure.cells.items() if one != who])
-    text, shade, title = f"{value:.4g}", 0, ""
+    text, shade, title = f"{value:.{DIGITS.get(measure.unit, 0)}f}", 0, ""
     if len(others) > 1 and not is_plain:
         middle = float(np.median(others))
         usual = max(
             1.5 * float(np.median(np.abs(others - middle))), USUAL * abs(middle), LEAST.get(measure.unit, 0.001)
         )
-        shade = sum(abs(value - middle) / usual >= step for step in SHADES)
+        # Where several are alike, on one bus for example, none of them is the odd one.
+        beside = sum(abs(others - value) < abs(value - middle) / 2)
+        shade = sum(abs(value - middle) / usual >= step for step in SHADES) if beside <= (len(others) > 5) else 0
         title = f"the median of the others is {middle:.4g} {measure.unit}".rstrip()
         text = f"{'▲' if value > middle else '▼'} {text}" if shade else text
     about = f" class='number far{shade}'" if shade else " class=number"

@@ -25,7 +25,7 @@ def columns(part: Part, named: set[str]) -> list[tuple[Column, Column | None]]:
     found += [(one, None) for one in reversed(part.supply() or ())]
     found += [(one, None) for one in part.fields(*DEGREES)]
     every = (part.message.columns[name] for name in part.values)
-    found += [(one, None) for one in every if one.role == "value" and one.title in named]
+    found += [(one, None) for one in every if one.role == "value" and one.name in named]
     known: dict[str, tuple[Column, Column | None]] = {}
     for column, command in found:
         known.setdefault(column.name, (column, command))
@@ -42,7 +42,7 @@ class Multiples:
         self.rows: dict[int, dict[int, str]] = {}
 
     def add(self, part: Part, named: set[str]) -> None:
-        """Add the columns of a message; named: the titles of values that findings name."""
+        """Add the columns of a message; named: the fields that findings name, by field."""
         for column, command in columns(part, named):
             lines = [part.values[one.name] for one in (command, column) if one]
             finite = np.concatenate([own[np.isfinite(own)] for line in lines for own in line])

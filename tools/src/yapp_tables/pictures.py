@@ -6,13 +6,14 @@ from __future__ import annotations
 import base64
 import gzip
 import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from .differs import differing, surges
+from .differs import calm_samples, differing, flying, sagging
 from .limits import Limits, beyond
 from .matrix import DEGREES, Part
 from .series import Array, Source, numbers, sources, spans, thin
@@ -25,9 +26,11 @@ CLOUD = 500  # points of one source, and of its largest values
 CLOUD_ENDS = 20
 ODD, ODD_ONCE = 1.25, 1.5  # times the others' current at the same speed, over the flight and once
 APART = 0.1  # and by this share of the largest
+ODD_SHARE = 0.1  # of the points of a source: with fewer it is not called odd
 # Shades of one source from another's: (bus, ID) of a controller, not its place in a list, says its colour.
 COLOURS, IDS_OF_A_BUS = 16, 8
 Record = dict[str, Any]
+Windows = Sequence[tuple[float, float]]
 
 
 class Pictures:
@@ -50,11 +53,18 @@ class Pictures:
         self.lanes: list[Record] = []
         self.level: list[str] = []
         self.differs: list[Record] = []
+        self.phases: list[tuple[float, float]] = []  # in flight, of the flight that is drawn
         self.bytes = bytearray()
         self._leads: dict[object, Record] = {}  # the first source of each controller
 
-    def add(self, message: Message, table: pa.Table, alarms: set[str], prefix: str = "") -> None:
-        """Draw a message.  alarms: the flags of it that were faults, each by its column; prefix: of sources' names."""
+    def add(
+        self, message: Message, table: pa.Table, alarms: set[str], excused: Mapping[str, Windows], prefix: str = ""
+    ) -> None:
+        """Draw a message, that with the speed first.
+
+        alarms: the flags of it that were faults, each by its column; excused: of sources, when they are not compared;
+        prefix: of sources' names.
+        """
         found = list(sources(table, message.every, self.start))
         # A message without a clock of the controller, such as a command, may be for all of a bus.
         is_own = any(column.role == "clock" for column in message.columns.values())
@@ -63,10 +73,11 @@ class Pictures:
         columns = [column for column in known if column.role in ("value", "enum", "flag")]
         values = {column.name: [numbers(source.rows[column.name]) for source in found] for column in columns}
         part = Part(message, found, whose, values)
+        self.phases = flying(part) or self.phases
+        part.flying = [calm_samples(source, self.phases, ()) for source in found]
+        part.calm = [calm_samples(source, self.phases, excused.get(source.name, ())) for source in found]
         self.parts.append(part)
-        said = differing(message, found, alarms) + self._limited(part)
-        if pair := part.supply():
-            said += surges(found, values[pair[1].name], pair[1])
+        said = differing(part, alarms) + self._limited(part) + sagging(part, self.phases)
         self.differs += [row | {"source": prefix + row["source"]} for row in said]
         self._clouds(part)
         self._figures(part)
@@ -88,7 +99,8 @@ class Pictures:
         if lead and lead["label"] not in (lead["name"], name) and label == name:
             label = f"{lead['label']}, {title or name}"
         number = len(self.sources)
-        about = {"name": name, "label": label, "colour": _colour(bus, of_bus), "flight": self.flight}
+        about = {"name": name, "label": label, "colour": _colour(bus, of_bus) if is_own else "command"}
+        about |= {"flight": self.flight, "is_command": not is_own}
         self.sources.append(about | {"controller": lead["controller"] if lead else len(self._leads)})
         self._leads.setdefault(key, self.sources[-1])
         return number
@@ -97,13 +109,34 @@ class Pictures:
         """Return all samples, packed."""
         return packed(bytes(self.bytes))
 
+    def limits_told(self) -> list[str]:
+        """Return the limits of what is drawn: "Motor Temperature at most 120 °C"."""
+        told = []
+        for figure in self.figures:
+            low, high = figure["limits"]
+            words = [f"at least {low:g}"] if low is not None else []
+            words += [f"at most {high:g}"] if high is not None else []
+            if words:
+                told.append(f"{figure['title']} {' and '.join(words)} {figure['unit']}".strip())
+        return told
+
+    def ordered(self) -> list[Record]:
+        """Return the figures: speed, current of the supply, motor temperature and voltage first."""
+        first: list[str] = []
+        for part in self.parts:
+            speed, supply = part.speed(), part.supply()
+            wanted = [speed[0] if speed else None, supply[1] if supply else None, *part.fields(*DEGREES)[:1]]
+            wanted += [supply[0] if supply else None]
+            first += [f"{part.message.name}.{one.name}" for one in wanted if one]
+        return sorted(self.figures, key=lambda one: first.index(one["key"]) if one["key"] in first else len(first))
+
     def _limited(self, part: Part) -> list[Record]:
         """Say which values were outside the limits of the rules."""
         said = []
         for column in (part.message.columns[name] for name in part.values):
             for source, values in zip(part.found, part.values[column.name], strict=True):
                 said += beyond(source, values, self.limits.of(source.name, part.message.name, column.name), column)
-        return said
+        return [row | {"is_supply": row["field"] in [one.name for one in part.supply() or ()]} for row in said]
 
     def _figures(self, part: Part) -> None:
         """A figure for each value of all sources, with its command; marks where there was a reserved count."""
@@ -120,44 +153,22 @@ class Pictures:
                     figures[column.name]["marks"].append({"source": part.whose[number], "name": column.title} | mark)
         for column in drawn:
             figure = figures[column.name]
-            command = column.name.replace("_measured", "_commanded")
-            told = figures.get(command, figure)
-            both = zip(part.values[column.name], part.values.get(command, ()), strict=False)
-            if told is not figure and any(_varies(own - asked) for own, asked in both):
-                pairs = list(zip(figure["lines"], told["lines"], strict=True))
-                title = f"{column.title} less commanded"
-                error = self._figure(part, column) | {"title": title, "key": "", "limits": [None, None]}
-                self.figures[-1] = error
-                error["lines"] = [own | {"name": title, "minus": asked["y"]} for own, asked in pairs]
-                self._behind(figure, error)
+            told = figures.get(column.name.replace("_measured", "_commanded"), figure)
             if told is not figure:
-                figure["lines"] = [asked | {"dash": "dot"} for asked in told["lines"]] + figure["lines"]
+                figure["lines"] = [asked | {"dash": "dash"} for asked in told["lines"]] + figure["lines"]
                 figure["marks"] += told["marks"]
                 self.figures.remove(told)
-            if column.unit in DEGREES and figure["limits"][1] is not None:
-                self._behind(figure, self._margin(part, column, figure))
+            odd = {row["source"] for row in self.differs if row["field"] == column.name and row["kind"] != "left"}
+            about = (self.sources[who] for who in part.whose)
+            figure["odd"] = sorted({one["controller"] for one in about if one["name"] in odd})
         self._intervals(part)
-
-    def _behind(self, figure: Record, one: Record) -> None:
-        self.figures.remove(one)
-        self.figures.insert(self.figures.index(figure) + 1, one)
-
-    def _margin(self, part: Part, column: Column, figure: Record) -> Record:
-        """How far a temperature is from its limit."""
-        title = f"{column.title}, below its limit"
-        margin = self._figure(part, column) | {"title": title, "key": "", "limits": [0, None]}
-        self.figures[-1] = margin
-        highs = [self.limits.of(source.name, part.message.name, column.name)[1] for source in part.found]
-        pairs = zip(figure["lines"], highs, strict=True)
-        margin["lines"] = [line | {"name": title, "from": high} for line, high in pairs if np.isfinite(high)]
-        return margin
 
     def _figure(self, part: Part, column: Column) -> Record:
         """A figure, still without lines, with the narrowest limits of all sources."""
         limits = [self.limits.of(source.name, part.message.name, column.name) for source in part.found]
         low, high = max(one[0] for one in limits), min(one[1] for one in limits)
         about: Record = {"title": column.title, "unit": column.unit, "message": part.message.title}
-        about |= {"lines": [], "marks": []}
+        about |= {"lines": [], "marks": [], "odd": []}
         about["key"] = f"{part.message.name}.{column.name}"
         about["limits"] = [one if np.isfinite(one) else None for one in (low, high)]
         self.figures.append(about)
@@ -166,7 +177,7 @@ class Pictures:
     def _intervals(self, part: Part) -> None:
         """How long it was between two messages of a source."""
         figure: Record = {"title": "Interval between messages", "unit": "s", "message": part.message.title}
-        figure |= {"key": "", "lines": [], "marks": [], "limits": [None, None]}
+        figure |= {"key": "", "lines": [], "marks": [], "odd": [], "limits": [None, None]}
         for source, who in zip(part.found, part.whose, strict=True):
             if len(source.times) < 3:
                 continue
@@ -185,11 +196,18 @@ class Pictures:
             return
         volts, amperes = pair
         current = part.values[amperes.name]
-        odd = [np.zeros(len(own), bool) for own in current]
+        odd, times = [np.zeros(len(own), bool) for own in current], [1.0] * len(current)
         if speeds:
             speed = part.values[speeds[0].name]
-            odd = _apart(speed, current)
+            calm = [np.where(use, own, np.nan) for use, own in zip(part.calm, current, strict=True)]
+            odd, times = _apart(speed, calm)
             self._cloud(part, (speeds[0], amperes), speed, current, odd)
+            shares = [float(own.mean()) for own in odd]
+            self.clouds[-1]["odd"] = [
+                f"{self.sources[who]['label']} in {share:.0%} of its points, {much:.2f} times the others'"
+                for who, share, much in zip(part.whose, shares, times, strict=True)
+                if share > ODD_SHARE
+            ]
         every = Column("total", amperes.type, "value", "Current of all", amperes.unit)
         self._cloud(part, (every, volts), _total(part.found, current), part.values[volts.name], odd)
 
@@ -205,7 +223,7 @@ class Pictures:
                 points = {"x": self._keep(across[kept], "<f4"), "y": self._keep(up[kept], "<f4")}
                 lines.append({"source": who, "name": title, "odd": np.flatnonzero(is_odd[kept]).tolist()} | points)
         about = {"title": title, "message": part.message.title, "lines": lines, "marks": [], "unit": axes[1].unit}
-        self.clouds.append(about | {"across": f"{axes[0].title}/{axes[0].unit}"})
+        self.clouds.append(about | {"across": f"{axes[0].title}, {axes[0].unit}", "odd": []})
 
     def _times(self, times: Array) -> int:
         """Keep an x axis; returns its number."""
@@ -246,12 +264,15 @@ class Pictures:
         self.level.append(f"{column.title}: {', '.join(texts)}")
 
 
-def _apart(speed: list[Array], current: list[Array]) -> list[Array]:
-    """Return which samples are far from the others' median at the same speed; all of who is so all the time."""
-    odd = [np.zeros(len(own), bool) for own in current]
+def _apart(speed: list[Array], current: list[Array]) -> tuple[list[Array], list[float]]:
+    """Return which samples are far from the others' median at the same speed, and how many times it they are.
+
+    All are of who is so all the time.
+    """
+    odd, times = [np.zeros(len(own), bool) for own in current], [1.0] * len(current)
     finite = [own[np.isfinite(own)] for own in speed]
     if len(speed) < 3 or not any(map(len, finite)):
-        return odd
+        return odd, times
     edges = np.quantile(np.concatenate(finite), np.linspace(0, 1, 21)[1:-1])
     bins = [np.searchsorted(edges, own) for own in speed]
     grid = np.full((len(speed), len(edges) + 1), np.nan)
@@ -269,7 +290,9 @@ def _apart(speed: list[Array], current: list[Array]) -> list[Array]:
         all_away = np.abs(grid[number] - usual)[known]
         if len(all_away) and (all_away > np.maximum((ODD - 1) * np.abs(usual[known]), least / 2)).mean() > 0.5:
             odd[number][:] = True
-    return odd
+        if odd[number].any():
+            times[number] = float(np.nanmedian(up[odd[number]] / usual[own][odd[number]]))
+    return odd, times
 
 
 def _total(found: list[Source], values: list[Array]) -> list[Array]:

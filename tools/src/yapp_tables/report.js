@@ -3,11 +3,12 @@
 (async () => {
   const byId = (id) => document.getElementById(id);
   const data = JSON.parse(byId("data").textContent);
-  const HEIGHT = 190, CLOUD = 340, ROW = 18, AXIS = 24; // pixels
+  const HEIGHT = 210, CLOUD = 340, ROW = 18, AXIS = 24, BAR = 26; // pixels: BAR is the room of the toolbar and the heading
   const LETTER = 6.5, LEAST = 3; // pixels: of a letter in a bar, of the shortest bar
   const POINTS = 6000, FEWER = 4, PAUSE = 150; // and a part of them, until no zoom follows for so many milliseconds
   const ROWS = 40; // of a table
   const AMBER = 0.1; // of the way between limits
+  const PALE = 0.35, DASHES = ["dash", "dot", "dashdot", "longdash"]; // of who is not odd; of Commands
   const PRINTED = 1000; // pixels: the width of a printed picture
   const NARROW = innerWidth < 700;
   // These buttons and no others: one of plotly's own uploads the chart to a server.
@@ -50,35 +51,45 @@
 
   const plain = (value, digits) => typeof value === "number" ? String(Number(value.toPrecision(digits))) : value ?? "";
   const brief = (value) => plain(value, 5);
-  const duration = (s) => {
-    if (s < 1) return `${plain(s * 1000, 6)} ms`;
-    if (s < 60) return `${Number(s.toFixed(3))} s`;
-    return `${Math.floor(s / 60)} min ${Number((s % 60).toFixed(3))} s`;
-  };
+  const duration = (s) => s < 60 ? `${s.toFixed(3)} s` : `${Math.floor(s / 60)} min ${(s % 60).toFixed(3)} s`;
   // 612.439 is 10:12.439.
   const clock = (s) => {
     const ms = Math.round(Math.abs(s) * 1000), rest = ((ms % 60000) / 1000).toFixed(3).padStart(6, "0");
     return `${s < 0 ? "-" : ""}${Math.floor(ms / 60000)}:${rest}`;
   };
   const utc = (s) => new Date(Math.round((data.epoch + s) * 1000)).toISOString().slice(11, 23);
-  const seconds = (s) => `${Number(s.toFixed(3))} s`;
-  const when = (s) => `${clock(s)} (${seconds(s)}), ${utc(s)} UTC`;
+  const when = (s) => `${clock(s)} (${s.toFixed(3)} s), ${utc(s)} UTC`;
 
   // ---- what went wrong
 
   function zoomTo(begin, end) {
     const room = Math.max(1, (end - begin) * 0.25);
-    show([begin - room, end + room]);
+    show([Math.max(0, begin - room), Math.min(whole[1], end + room)]);
     byId("sources").scrollIntoView({ block: "start" });
   }
   document.addEventListener("click", ({ target }) => {
     const row = target.closest("button.row")?.closest("[data-begin]"), unfold = target.closest("[aria-expanded]");
+    const copied = target.closest("[data-copy]");
+    if (copied) copy(copied);
     if (row) zoomTo(Number(row.dataset.begin), Number(row.dataset.end || data.length));
     if (!unfold) return;
     let part = unfold.closest("tr");
     while ((part = part.nextElementSibling)?.className === "part") part.hidden = !part.hidden;
     unfold.setAttribute("aria-expanded", String(unfold.getAttribute("aria-expanded") === "false"));
   });
+
+  // A display filter into the clipboard; where the browser has none for a file, it is marked instead.
+  async function copy(button) {
+    const text = button.dataset.copy, old = button.textContent;
+    try {
+      await navigator.clipboard.writeText(text);
+      button.textContent = "filter copied";
+    } catch {
+      button.replaceWith(make("code", { textContent: text }));
+      return;
+    }
+    setTimeout(() => { button.textContent = old; }, 1500);
+  }
 
   // ---- samples
 
@@ -142,23 +153,28 @@
     if (line.values) return line;
     line.values = unfold(line.y, Float32Array);
     line.times = typeof line.x === "number" ? timesOf(line.x) : unfold(line.x, Float32Array);
-    if (line.minus) { const other = unfold(line.minus, Float32Array); line.values = line.values.map((value, i) => value - other[i]); }
-    if (line.from !== undefined) line.values = line.values.map((value) => line.from - value);
     return line;
   }
 
-  // Bands of a value that has limits: red outside, amber near them, green within.
+  // Bands of a value that has limits: red outside, amber near them, green within; each limit is a line.
   function bands([low, high], [bottom, top]) {
     if (low === null && high === null) return [];
-    const style = getComputedStyle(document.documentElement), edge = AMBER * ((high ?? top) - (low ?? bottom));
-    const band = (name, from, to) => ({ type: "rect", name, xref: "paper", x0: 0, x1: 1, y0: Math.max(from, bottom), y1: Math.min(to, top),
-      fillcolor: style.getPropertyValue(`--${name}`), opacity: 0.13, line: { width: 0 }, layer: "below" });
+    const edge = AMBER * ((high ?? top) - (low ?? bottom));
+    const band = (kind, from, to) => ({ type: "rect", name: kind, xref: "paper", x0: 0, x1: 1, y0: Math.max(from, bottom), y1: Math.min(to, top),
+      fillcolor: styled({ kind }, "backgroundColor"), opacity: 0.13, line: { width: 0 }, layer: "below" });
     const least = low === null ? -Infinity : low + edge, most = high === null ? Infinity : high - edge;
     const made = [band("good", least, most)];
     if (low !== null) made.push(band("warn", low, least), band("bad", -Infinity, low));
     if (high !== null) made.push(band("warn", most, high), band("bad", high, Infinity));
-    return made.filter(({ y0, y1 }) => y1 > y0);
+    for (const limit of [low, high]) {
+      if (limit !== null) made.push({ type: "line", name: "limit", xref: "paper", x0: 0, x1: 1, y0: limit, y1: limit, line: { width: 1, color: styled({ kind: "bad" }, "backgroundColor") } });
+    }
+    return made.filter(({ type, y0, y1 }) => type === "line" ? y0 > bottom && y0 < top : y1 > y0);
   }
+  // What is written at each line of a limit.
+  const limitTexts = ({ limits, unit }, [bottom, top]) => limits.map((limit, at) => limit === null || limit <= bottom || limit >= top ? null :
+    { text: `${at ? "at most" : "at least"} ${brief(limit)} ${unit}`, xref: "paper", x: 1, xanchor: "right", y: limit, yanchor: at ? "bottom" : "top", yshift: at ? -1 : 1,
+      showarrow: false, font: { size: 11, color: styled({ kind: "bad" }, "backgroundColor") } }).filter(Boolean);
 
   // The stretches in which there was a fault, of whatever kind.
   function faulty() {
@@ -175,12 +191,12 @@
   function layout(height, x, y, more) {
     const style = getComputedStyle(document.body), grid = styled({ kind: "line" }, "backgroundColor");
     const axis = { gridcolor: grid, zeroline: false, ticklabeloverflow: "allow" };
-    return { height, autosize: !isPrinting, ...isPrinting ? { width: PRINTED } : {}, showlegend: false, dragmode: NARROW ? false : "zoom",
+    return { height, autosize: !isPrinting, ...isPrinting ? { width: PRINTED } : {}, showlegend: false, separators: ".", dragmode: NARROW ? false : "zoom",
       paper_bgcolor: style.backgroundColor, plot_bgcolor: "rgba(0,0,0,0)", font: { color: style.color, family: style.fontFamily, size: 12 },
-      hoverlabel: { bgcolor: style.backgroundColor, font: { size: 11 } }, margin: { l: 46, r: 12, t: 4, b: AXIS },
+      hoverlabel: { bgcolor: style.backgroundColor, font: { size: 11 } }, margin: { l: 46, r: 12, t: BAR, b: AXIS }, modebar: { bgcolor: "rgba(0,0,0,0)" },
       xaxis: { ...axis, ...x }, yaxis: { ...axis, ...y }, ...more };
   }
-  const overTime = () => ({ range: seen, ticksuffix: NARROW ? "" : " s", showspikes: true, spikemode: "across", spikethickness: 1, spikedash: "solid" });
+  const overTime = () => ({ range: seen, ticksuffix: NARROW ? "" : " s", showticksuffix: "first", showspikes: true, spikemode: "across", spikethickness: 1, spikedash: "solid" });
 
   // Lines over time, marks where a value is reserved, limits as bands.
   function lines(about, isRough) {
@@ -196,17 +212,22 @@
       if (limit !== null && limit < top + (top - bottom) && limit > bottom - (top - bottom)) [bottom, top] = [Math.min(bottom, limit), Math.max(top, limit)];
     }
     const space = (top - bottom) * 0.06 || Math.abs(top) * 0.05 || 1, span = [bottom - space, top + space];
-    const traces = drawn.map(([{ source, name, dash }, x, y]) => ({ type: "scatter", mode: "lines", name: `${name}, ${data.names[source]}`, x, y,
-      opacity: data.sources[source].flight ? 0.55 : 1, visible: !isHidden(source), connectgaps: false,
-      line: { color: colour(source), dash: dash ?? "solid", width: dash ? 1 : 1.5 },
-      hovertemplate: `%{y:.5~g} ${about.unit}<extra>${data.sources[source].label}${dash ? ", commanded" : ""}</extra>` }));
+    // What was commanded is grey and dashed; who is odd lies on top, and the others are pale.
+    const isPale = (source) => about.odd.length > 0 && !about.odd.includes(data.sources[source].controller);
+    const isTold = ({ source, dash }) => Boolean(dash) || data.sources[source].is_command;
+    drawn.sort(([p], [q]) => isTold(q) - isTold(p) || isPale(q.source) - isPale(p.source));
+    const traces = drawn.map(([line, x, y]) => [line.source, line.name, isTold(line), x, y]).map(([source, name, dash, x, y]) => ({ type: "scatter", mode: "lines",
+      name: `${name}, ${data.names[source]}`, x, y, visible: !isHidden(source), connectgaps: false,
+      opacity: data.sources[source].flight ? 0.55 : isPale(source) && !dash ? PALE : 1,
+      line: { color: dash ? styled({ colour: "command" }, "backgroundColor") : colour(source), dash: dash ? DASHES[source % DASHES.length] : "solid", width: dash ? 1 : 1.5 },
+      hovertemplate: `%{y:.5~g} ${about.unit}<extra>${data.sources[source].label}${dash && !data.sources[source].is_command ? ", commanded" : ""}</extra>` }));
     for (const { source, name, x, what } of about.marks) {
       traces.push({ type: "scatter", mode: "markers", name: `${name}, ${data.names[source]}`, x, y: x.map(() => span[0] + space), text: what,
         visible: !isHidden(source), marker: { symbol: "x-thin-open", size: 9, color: colour(source), line: { width: 2, color: colour(source) } },
         hovertemplate: `%{text}<extra>${data.sources[source].label}</extra>` });
     }
     return [traces, layout(HEIGHT, overTime(), { range: span, fixedrange: true, nticks: 6 },
-      { hovermode: "x unified", shapes: [...faulty(), ...bands(about.limits, span)] })];
+      { hovermode: "x unified", shapes: [...faulty(), ...bands(about.limits, span)], annotations: limitTexts(about, span) })];
   }
 
   // One value over another, a cloud a source; odd points stand out.
@@ -219,7 +240,7 @@
         hovertemplate: `%{y:.5~g} ${about.unit} at %{x:.5~g}<extra>${data.sources[line.source].label}</extra>` };
     });
     traces.sort((p, q) => p.marker.size.includes(8) - q.marker.size.includes(8));
-    return [traces, layout(CLOUD, { title: { text: about.across } }, { nticks: 8 }, { hovermode: "closest", margin: { l: 46, r: 12, t: 4, b: 44 } })];
+    return [traces, layout(CLOUD, { title: { text: about.across } }, { nticks: 8 }, { hovermode: "closest", margin: { l: 46, r: 12, t: BAR, b: 44 } })];
   }
 
   // Lanes: a heading, and a row for each source: when a flag was set, what a state was, when something happened.
@@ -251,7 +272,7 @@
       marker: { color: colour(source), line: { width: 1, color: getComputedStyle(document.body).backgroundColor } },
       textposition: "auto", insidetextanchor: "start", textangle: 0, constraintext: "none", textfont: { size: 11 },
       hovertemplate: "%{customdata[0]}: %{customdata[1]}<br>%{customdata[2]}<extra>%{fullData.name}</extra>" }));
-    const height = y * ROW + AXIS + 4;
+    const height = y * ROW + AXIS + BAR;
     return [traces, layout(height, overTime(), { range: [y - 0.5, -0.5], showticklabels: false, fixedrange: true, showgrid: false },
       { hovermode: "closest", barmode: "overlay", annotations: titles, shapes: faulty() })];
   }
@@ -350,24 +371,24 @@
       const own = shown.filter(({ mode }) => mode === "lines");
       const at = (times, values, t) => { const i = indexOf(times, t + 1e-6) - 1; return i < 0 || values[i] !== values[i] ? "" : brief(values[i]); };
       const times = Array.from({ length: ROWS }, (_, i) => seen[0] + i / (ROWS - 1) * (seen[1] - seen[0]));
-      rows(["time/s", ...own.map(({ name }) => name)], times.map((t) => [plain(t, 7), ...own.map(({ x, y }) => at(x, y, t))]));
+      rows(["time, s", ...own.map(({ name }) => name)], times.map((t) => [plain(t, 7), ...own.map(({ x, y }) => at(x, y, t))]));
     }
     details.append(table);
   }
 
   function build() {
-    const box = byId("pictures"), height = (all) => all.reduce((sum, { rows }) => sum + (rows.length + 1) * ROW, AXIS + 4);
+    const box = byId("pictures"), height = (all) => all.reduce((sum, { rows }) => sum + (rows.length + 1) * ROW, AXIS + BAR);
     const first = ({ kind }) => kind === "fault" || kind === "event";
     const wrong = data.lanes.filter(first), states = data.lanes.filter((each) => !first(each));
     const head = ({ title, unit, message, limits }) => {
       const said = (limits ?? []).map((limit, at) => limit === null ? "" : `${at ? "at most" : "at least"} ${brief(limit)} ${unit}`).filter(Boolean);
-      return [make("b", { textContent: `${title}${unit ? `/${unit}` : ""}` }), pale(message), ...said.length ? [pale(`limit: ${said.join(", ")}`)] : []];
+      return [make("b", { textContent: `${title}${unit ? `, ${unit}` : ""}` }), pale(message), ...said.length ? [pale(`limit: ${said.join(", ")}`)] : []];
     };
     if (wrong.length) picture(box, [make("b", { className: "bad", textContent: "Faults and events" })], height(wrong), "wrong", true, () => lanes(wrong));
     for (const about of data.figures) picture(box, head(about), HEIGHT, about.key, true, (isRough) => lines(about, isRough));
     if (states.length) picture(box, [make("b", { textContent: "States and flags" })], height(states), "states", true, () => lanes(states));
     for (const about of data.clouds) {
-      const odd = about.lines.filter((line) => line.odd.length).map(({ source }) => data.sources[source].label).join(", ");
+      const odd = about.odd.join("; ");
       picture(byId("clouds"), [...head(about), ...odd ? [make("b", { className: "bad", textContent: `odd: ${odd}` })] : []], CLOUD, about.title, false, () => cloud(about));
     }
     byId("job").hidden = !data.clouds.length;

@@ -11,6 +11,7 @@ from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from plotly.offline import get_plotlyjs
@@ -21,14 +22,15 @@ from .dataset import plain_name
 from .errors import SetupError
 from .flight import Flight
 from .html_table import html_table
-from .incidents import besides, fault_rows, flag_of, head, joined, other_rows, table, undecoded, verdict
+from .incidents import disabled_events, excused, fault_rows, filter_of, flag_of, is_command, joined, other_rows
 from .limits import Limits
 from .matrix import Matrix
 from .multiples import Multiples
-from .pictures import MARKS, Pictures, Record, packed
-from .records import TOGETHER, controllers
+from .pictures import MARKS, Pictures, Record, first_of, packed
+from .records import controllers
 from .scratch import write_whole
 from .sources import source_name
+from .verdict import causes, head, headline, merged, named
 
 VALUES = {"message": "message", "title": "field", "unit": "unit", "source": "source"}
 VALUES |= {name: name for name in ("min", "mean", "max")}
@@ -81,8 +83,7 @@ def write_report(flights: Sequence[Flight], path: Path, limits: Limits | None = 
     found = report.data()
     blob = found.pop("blob")
     parts = {"/*MATRIX*/": report.matrix.html(), "/*MULTIPLES*/": report.multiples.html(report.matrix.labels)}
-    parts |= head(found) | {"/*UNDECODED*/": undecoded(found), "/*VERDICT*/": verdict(found)}
-    parts |= {"/*BESIDES*/": besides(found), "/*INCIDENTS*/": table(found)}
+    parts |= head(found)
     parts |= {"/*VALUES*/": html_table(VALUES, [row for flight in flights for row in _values(flight)])}
     heads = {name: text for flight in flights for name, text in flight.heads.items()}
     parts |= {"/*SUMMARY*/": html_table(heads, [row for flight in flights for row in flight.sources()])}
@@ -120,23 +121,30 @@ class Report:
             row["label"] = row["source"] if row["number"] is None else pictures.sources[row["number"]]["label"]
         for row in incidents:
             self._lead(row)
-        self._before(incidents)
+            for each in (row, *row["rows"]):
+                each["frames"] = f"{each['first']:,} to {each['last']:,}"
+                each["filter"] = filter_of(each.get("rows", [each]), each["first"], each["last"])
+        for row in pictures.differs:
+            row["has_fault"] = any(_is_near(row, one) for one in incidents)
         self._tables(rows, incidents)
-        left_out = [text for flight in self.flights for text in flight.left_out]
+        controllers = len({source["controller"] for source in pictures.sources if not source["is_command"]})
         return {
             "name": " and ".join(flight.name for flight in self.flights),
             "epoch": self.starts[0] / 1e9,
             "length": self.end,
-            "undecoded": next((flight.undecoded for flight in self.flights if flight.undecoded), ""),
-            "left_out": left_out,
+            "left_out": [text for flight in self.flights for text in flight.left_out],
             "partial": any(flight.partial for flight in self.flights),
             "about": [["plugin", first.plugin], ["yapp-tables", version("yapp-tables")], *self._about()],
             "incidents": sorted(incidents, key=lambda row: (not row["is_serious"], float(row["begin"]))),
-            "differs": pictures.differs,
+            "differs": merged(pictures.differs, controllers),
+            "flight": pictures.phases if len(self.flights) == 1 else [],
+            "limits": pictures.limits_told(),
+            "has_default_limits": self.limits.is_default,
+            "rules": self.limits.name,
             "sources": pictures.sources,
             "names": list(numbers),
             "times": pictures.times,
-            "figures": pictures.figures,
+            "figures": pictures.ordered(),
             "clouds": pictures.clouds,
             "lanes": sorted(pictures.lanes, key=lambda lane: ("fault", "event", "enum", "flag").index(lane["kind"])),
             "level": pictures.level,
@@ -150,14 +158,6 @@ class Report:
             incident["number"] = min(numbers)
             source = self.pictures.sources[incident["number"]]
             incident |= {"source": source["name"], "label": source["label"]}
-
-    def _before(self, incidents: list[Record]) -> None:
-        """Say of what was a multiple of the others' which fault came with it."""
-        for row in self.pictures.differs:
-            faults = (one for one in incidents if one["is_fault"] and one["source"] == row["source"])
-            near = (one for one in faults if -0.2 <= one["begin"] - row["at"] <= row.get("length", -1) + TOGETHER)
-            if fault := next(near, None):
-                row["text"] += f", from {fault['begin'] - row['at']:.2g} s before {fault['rows'][0]['what']}"
 
     def _tables(self, rows: list[Record], incidents: list[Record]) -> None:
         """The matrix, which counts incidents, and the small multiples."""
@@ -173,9 +173,7 @@ class Report:
             bands.setdefault(sources[row["number"]]["controller"], []).append((row["begin"], end))
         self.multiples = Multiples(sources, self.end, bands)
         for part in self.pictures.parts:
-            titles = {column.title for column in part.message.columns.values() if column.title}
-            said = {title for title in titles for row in self.pictures.differs if row["text"].startswith(title)}
-            self.multiples.add(part, said)
+            self.multiples.add(part, {row["field"] for row in self.pictures.differs})
 
     def _about(self) -> list[list[str]]:
         """Return board revisions and the like: fields of a message that name a revision or a version."""
@@ -193,15 +191,59 @@ class Report:
         for event, controller in zip(events, controllers(events), strict=True):
             event["controller"] = controller
             event["at"] = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
+        if not any(event["kind"] == "disabled" for event in events):
+            events += disabled_events(flight, start)
+        for event in events:
+            known = flight.messages.get(event["message"])
             event["title"] = flight.title(event["message"]) if event["id"] is not None else ""
             event["who"] = prefix + source_name(event)
+            event["is_command"] = is_command(flight, event["message"])
+            event["every"] = known.every or 1.0 if known else 1.0
+        sent = (row for row in flight.summary.to_pylist() if row["id"] is not None)
+        windows = excused(events, {(row["bus"], row["id"]): source_name(row) for row in sent})
         # First the message that says most.
         for message in sorted(flight.messages.values(), key=lambda message: -len(message.columns)):
             flags = (flag_of(flight, event) for event in events if event["message"] == message.name)
-            self.pictures.add(message, flight[message.name], {flag.name for flag in flags if flag}, prefix)
+            alarms = {flag.name for flag in flags if flag}
+            self.pictures.add(message, flight[message.name], alarms, windows, prefix)
         rows = fault_rows(flight, events, self.end) + other_rows(flight, events)
+        self._frames(flight, rows, start)
+        self._stopped(rows, prefix)
         self._marks([row for row in rows if row["kind"] != "fault"])
         return rows
+
+    def _frames(self, flight: Flight, rows: list[Record], start: int) -> None:
+        """Say of each row in which frames it lies, and the filter that finds them."""
+        times = np.concatenate([flight[name]["time"].cast(pa.int64()).to_numpy() for name in flight])
+        frames = np.concatenate([flight[name]["frame"].to_numpy() for name in flight])
+        order = np.argsort(times, kind="stable")
+        seconds, frames = (times[order] - start) / 1e9, frames[order]
+        for row in rows:
+            end = self.end if row["end"] is None else row["end"]
+            first = min(int(np.searchsorted(seconds, row["begin"] - 1e-7)), len(frames) - 1)
+            last = max(first, int(np.searchsorted(seconds, end + 1e-7, side="right")) - 1)
+            row["first"], row["last"] = int(frames[first]), int(frames[last])
+
+    def _stopped(self, rows: list[Record], prefix: str) -> None:
+        """Say of a Command that was lost or disabled which controllers of its bus lost speed."""
+        for row in rows:
+            part = next((part for part in self.pictures.parts if part.speed()), None)
+            if not (row["is_command"] and row["kind"] in ("silence", "disabled") and part):
+                continue
+            column = part.speed()
+            assert column
+            slowed, least = [], np.inf
+            for source, speed in zip(part.found, part.values[column[0].name], strict=True):
+                before = np.abs(speed[(source.times > row["begin"] - 1) & (source.times <= row["begin"])])
+                during = (source.times > row["begin"]) & (source.times < (row["end"] or self.end) + 0.5)
+                if first_of(source)["bus"] == row["bus"] and len(before) and during.any():
+                    low, usual = np.nanmin(np.abs(speed[during])), np.nanmax(before)
+                    if low < 0.9 * usual:
+                        slowed.append(prefix + source.name)
+                        least = min(least, low / usual)
+            if slowed:
+                word = "stopped" if least < 0.1 else f"slowed to {least:.0%} of their speed"
+                row["stopped"] = f"{named(slowed)} {word}"
 
     def _marks(self, others: list[Record]) -> None:
         """The events on the time axis: a lane for each kind and source; one that does not last is a mark."""
@@ -218,6 +260,13 @@ class Report:
 
 def _start(flight: Flight) -> int:
     return flight.begin or min(pc.min(flight[name]["time"]).value for name in flight)
+
+
+def _is_near(row: Record, incident: Record) -> bool:
+    """Return whether a fault of the same controller comes with what differs."""
+    until = np.inf if incident["until"] is None else incident["until"]
+    is_its = incident["is_fault"] and incident["source"] == row["source"]
+    return bool(is_its and incident["begin"] - 2 <= row["at"] <= until)
 
 
 def _signals(flight: Flight) -> int:
@@ -245,8 +294,8 @@ def _index(found: list[Record]) -> str:
     """The page of a folder: a row for each flight, what went wrong first."""
     lines = []
     for data in sorted(found, key=lambda data: float(data["epoch"])):
-        said = [*data["left_out"], *(f"{row['what']} on {row['label']}" for row in data["incidents"][:3])]
-        said += [f"{row['label']}: {row['text']}" for row in data["differs"]]
+        said = [*data["left_out"], ": ".join(headline(data))]
+        said += [f"{one['who']}: {'; '.join(each['text'] for each in one['said'])}" for one in causes(data)[:5]]
         cells = [
             f"<td>{html.escape(text)}</td>" for text in (f"{len(data['incidents'])}", "; ".join(said) or "nothing")
         ]
