@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """make regenerate: write all that follows from the rows of the code and of the catalogue, and print what changed.
 
-The generated pages, the picture of CONTRIBUTING.md, the samples behind `<!-- run -->` in the pages, and what the captures show.
+New lines of tests/published.txt, the generated pages, the picture of CONTRIBUTING.md, the samples behind `<!-- run -->` in the pages, and what the captures show.
 A home of its own: an installed plugin, profile or catalogue has no say.
 """
 import difflib
@@ -16,12 +16,13 @@ import tempfile
 TOP = pathlib.Path(__file__).resolve().parents[1]
 SAMPLE = re.compile(r"(<!-- run(?: \d+)? -->\n    \$ (.*)\n)((?:    .*\n)+)")
 PRINTED = {"tools/columns_page.py": "docs/columns.md", "tools/api_page.py": "docs/api.md"}
-WRITERS = [["tools/filters_page.py"], ["tools/module_map.py", "--write"], ["test_captures/expected.py"], ["tests/e2e/test_messages.py"]]
+WRITERS = [["tests/e2e/published.py", "--add"], ["tools/filters_page.py"], ["tools/module_map.py", "--write"], ["test_captures/expected.py"], ["tests/e2e/test_messages.py"]]
 
 
 def texts():
     """The text of each file that may change."""
-    paths = [TOP / "README.md", TOP / "CONTRIBUTING.md", *TOP.glob("docs/*.md"), *TOP.glob("test_captures/**/*.expected")]
+    paths = [TOP / "README.md", TOP / "CONTRIBUTING.md", *TOP.glob("docs/*.md"), *TOP.glob("test_captures/**/*.expected"),
+             TOP / "tests/published.txt"]
     return {path.relative_to(TOP).as_posix(): path.read_text(encoding="utf-8") for path in paths}
 
 

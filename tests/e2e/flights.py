@@ -14,7 +14,6 @@ read from a capture.  What could be read in two ways is not planted: between two
 """
 import collections
 import dataclasses
-import operator
 import random
 import struct
 
@@ -25,9 +24,8 @@ SECOND = 1_000_000_000
 EVERY = {message.name: message.every for message in model.MESSAGES.values() if message.every}  # a gap above LATE of them is a silence
 LATE = 2.5  # the preference yapp.late
 MAX_BEHIND = 8  # a Seq so far behind is of a message that came late
-FIRST_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
-KIND = {name: ident for ident, (name, _, _) in model.MESSAGES.items()}
-OPERATORS = {"*": operator.mul, "-": operator.sub, "+": operator.add}
+KIND = {message.name: ident for ident, message in model.MESSAGES.items()}
+OTHERS = [name for name in KIND if name not in ("command", "motor", "health")]  # a message that the catalogue got later
 # Columns of the summary that count events of a kind; a new one of a kind that is planted is a row here.
 COUNTS = {"reboots": "reboot", "invalid": "invalid", "skipped": "skipped", "missing": "missing", "copies": "copies"}
 FORMS = ["pcapng", "sll2", "candump"]
@@ -67,6 +65,9 @@ class Sender:
         self.clock = rng.randrange(10**12)
         self.jumps = random.Random(f"jumps {self.clock}")  # of its own, so that the rest of a flight stays as it was
         self.faults, self.status, self.state = 0, 0x40010000, 1
+        self.message = model.MESSAGES[KIND[kind]] if kind in KIND else None
+        self.has_clock = self.message is not None and self.message.has_clock
+        self.flags = {}  # of a message of OTHERS: by field
         self.messages = []
 
     def chance(self, probability):
@@ -85,7 +86,21 @@ class Sender:
         if self.kind == "command":
             key = rng.choice([0, 0x55, 0xFF]) if self.chance(0.04) else rng.choice([0xA5, 0x5A])
             return struct.pack("<BBBHH", 1, key, 1, rng.randrange(65000), rng.randrange(65000))
-        return rng.randbytes(20)
+        return b"".join(self.count(*row).to_bytes(row[1], "little") for row in self.message[2]) if self.message else rng.randbytes(20)
+
+    def count(self, field, size, kind):
+        """A field of any message."""
+        rng, top = self.rng, 2 ** (8 * size) - 1
+        if kind is None:
+            return self.clock
+        if model.is_float(kind):
+            return top - rng.randrange(5) if rng.random() < 0.01 else rng.randrange(top // 3, top // 2)
+        if model.is_flags(kind):
+            if self.chance(0.05):
+                self.flags[field] = self.flags.get(field, 0) ^ rng.choice(list(kind[1]))
+            return self.flags.get(field, 0)
+        return next(one for one in range(top) if one not in kind) if model.is_enum(kind) and self.chance(0.02) else \
+            rng.choice(sorted(kind)) if model.is_enum(kind) else rng.randrange(top)
 
     def step_clock(self, elapsed, stands_still):
         """The controller's clock goes on, begins anew, jumps ahead, or stands still."""
@@ -134,11 +149,11 @@ class Sender:
         """What happens to a message on its way.  goes_on: whether the capture does, for sure."""
         rng = self.rng
         sent = Sent(self.ident, 0, message.seq, message.payload)
-        if self.kind == "command":
+        if len(message.payload) <= 8:
             frames = [sent.frame(SINGLE, message.payload)]
         else:
             frames = sent.frames()
-        if clean >= 2 and self.kind in ("motor", "health") and self.chance(0.05):
+        if clean >= 2 and self.message and len(frames) > 1 and self.chance(0.05):
             # Where messages are numbered, nothing tells that one whose End is lost will not go on.
             message.fate = rng.choice(["crc", "Start", "Middle"] + ["overrun"] * goes_on + ([] if self.numbered else ["End"]))
             if message.fate == "crc":
@@ -163,7 +178,7 @@ class Truth:
     def __init__(self, flight, form):
         self.flight, self.form = flight, form
         self.events, self.faults, self.summary = [], [], []
-        self.missing_by_period = 0  # messages of Motor Data that the gaps have room for, where Seq No does not number them
+        self.missing_by_period = 0  # messages with faults that the gaps have room for, where Seq No does not number them
         for sender in flight.senders:
             if any(message.frames for message in sender.messages):
                 self.source(sender)
@@ -220,10 +235,10 @@ class Truth:
                 last = good[-1].frames[-1]
                 self.fault(sender, last, flag, "active", last.at - since)
             self.silence(sender, good[-1], self.flight.frames[-1].at)
-        if sender.kind == "motor" and good:
+        if sender.message and sender.message.alarms and sender.message.every and good:
             times = [message.frames[-1].at for message in good]
             between = times if len({message.seq for message in good}) == 1 else []
-            self.missing_by_period += fitting(between) + fitting([times[-1], self.flight.frames[-1].at])
+            self.missing_by_period += fitting(between, sender) + fitting([times[-1], self.flight.frames[-1].at], sender)
         self.summary.append({**self.who(sender), "crc_bad": crc, "incomplete": lost, "late": counts["late"],
                              **rates(good), "values": ranges(sender, good),
                              **{column: self.count(sender, kind) for column, kind in COUNTS.items()}})
@@ -241,12 +256,12 @@ class Truth:
         for field, value in undefined(sender, message.payload):
             self.event("invalid", sender, last, field=field, value=value)
         is_reboot = False
-        if sender.kind in ("motor", "health"):
+        if sender.has_clock:
             is_reboot = self.clock(sender, message, state)
         missing = missing_before(message, state, is_reboot)
         if missing:
             self.event("missing", sender, last, count=missing)
-        if sender.kind == "motor":
+        if sender.message:
             self.flags(sender, message, state)
 
     def clock(self, sender, message, state):
@@ -263,8 +278,8 @@ class Truth:
         return kind == "reboot"
 
     def flags(self, sender, message, state):
-        now, last = model.alarms(message.payload), message.frames[-1]
-        for flag in model.alarms():
+        now, last = model.alarms(KIND[sender.kind], message.payload), message.frames[-1]
+        for flag in model.alarms(KIND[sender.kind]):
             if flag in now and flag not in state["set"]:
                 state["set"][flag] = last.at
                 self.fault(sender, last, flag, "raised", None)
@@ -299,16 +314,14 @@ class Truth:
 
 def undefined(sender, payload):
     """What the document does not define in a payload: (field, value)."""
-    at = 0
-    for field, size, kind in model.MESSAGES[KIND[sender.kind]][2] if sender.kind in KIND else ():
-        count = int.from_bytes(payload[at:at + size], "little")
-        at += size
-        if isinstance(kind, set) and count not in kind or model.is_flags(kind) and count & ~sum(kind[1]):
+    for field, _, kind, count in sender.message.counts(payload) if sender.message else ():
+        if model.is_enum(kind) and count not in kind or model.is_flags(kind) and count & ~sum(kind[1]):
             yield field, count
 
 
 def clock_of(sender, payload):
-    return struct.unpack_from("<q", payload, 22 if sender.kind == "motor" else 0)[0]
+    count = next(count for _, _, kind, count in sender.message.counts(payload) if kind is None)
+    return count - (count >> 63 << 64)
 
 
 def jump_of(clock, at, state):
@@ -328,9 +341,9 @@ def missing_before(message, state, is_reboot):
     return 0 if is_reboot else max(ahead - 1, 0)
 
 
-def fitting(times):
-    """How many messages of Motor Data fit between these: none into a gap of up to 1.5 periods."""
-    gaps = [(later - sooner) / (EVERY["motor"] * SECOND) for sooner, later in zip(times, times[1:])]
+def fitting(times, sender):
+    """How many messages fit between these: none into a gap of up to 1.5 periods."""
+    gaps = [(later - sooner) / (sender.message.every * SECOND) for sooner, later in zip(times, times[1:])]
     return sum(int(gap - 0.5) for gap in gaps if gap > 1.5)
 
 
@@ -347,21 +360,7 @@ def rates(good):
 
 def numbers(sender, payload):
     """The values that can be averaged: {field: value}; a reserved count has none."""
-    if sender.kind == "unknown":
-        return {}
-    found, at = {}, 0
-    for field, size, kind in model.MESSAGES[KIND[sender.kind]][2]:
-        count = int.from_bytes(payload[at:at + size], "little")
-        at += size
-        if model.is_float(kind):
-            special = 2 ** (8 * size) - 1 - count < 5
-            found[field] = None if special else model.value(count, size, kind[0], kind[1])
-        elif model.is_number(kind):
-            found[field] = count
-    for name in model.MESSAGES[KIND[sender.kind]].generated:
-        field, sign, other = model.MESSAGES[KIND[sender.kind]].generated[name]
-        found[name] = None if None in (found[field], found[other]) else OPERATORS[sign](found[field], found[other])
-    return found
+    return model.numbers(KIND[sender.kind], payload) if sender.message else {}
 
 
 def ranges(sender, good):
@@ -370,7 +369,7 @@ def ranges(sender, good):
         for field, value in numbers(sender, message.payload).items():
             values[field] += [value] if value is not None else []
     if not good and sender.kind != "unknown":
-        values = {field: [] for field in numbers(sender, bytes(32))}
+        values = {field: [] for field in numbers(sender, bytes(sender.message.size))}
     return {field: {"min": min(list_), "mean": sum(list_) / len(list_), "max": max(list_)} if list_ else
             {"min": None, "mean": None, "max": None} for field, list_ in values.items()}
 
@@ -389,16 +388,18 @@ class Flight:
             self.add_bus(bus)
         if is_shared:
             self.share(seed)
+        others = random.Random(f"others {seed}")  # of its own, so that the rest of a flight stays as it was
+        self.senders += [Sender(others, others.randrange(len(self.names)), KIND[name], name, is_clean) for name in OTHERS]
         self.choose_names()
         self.collect()
 
     def add_bus(self, bus):
         rng = self.rng
-        self.senders.append(Sender(rng, bus, FIRST_ID["command"], "command", self.is_clean))
+        self.senders.append(Sender(rng, bus, KIND["command"], "command", self.is_clean))
         for place in rng.sample(range(4), rng.choice([1, 2, 3])):
-            self.senders.append(Sender(rng, bus, FIRST_ID["motor"] + place, "motor", self.is_clean))
+            self.senders.append(Sender(rng, bus, KIND["motor"] + place, "motor", self.is_clean))
             if rng.random() < 0.7:
-                self.senders.append(Sender(rng, bus, FIRST_ID["health"] + place, "health", self.is_clean))
+                self.senders.append(Sender(rng, bus, KIND["health"] + place, "health", self.is_clean))
         if rng.random() < 0.3 and not self.is_clean:
             self.senders.append(Sender(rng, bus, 0x320, "unknown", False))
 
@@ -409,7 +410,7 @@ class Flight:
             self.names = self.names[:1]
             for sender in self.senders:
                 sender.bus = 0
-        clocked = [sender for sender in self.senders if sender.kind in ("motor", "health")]
+        clocked = [sender for sender in self.senders if sender.has_clock]
         if len({(sender.bus, sender.ident) for sender in clocked}) < len(clocked):
             return
         for sender in clocked[:1] + [one for one in clocked[1:] if rng.random() < 0.5]:

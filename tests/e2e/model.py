@@ -5,7 +5,6 @@ formula, and the CRC a bit at a time (test_captures/make.py).
 A message is one entry of MESSAGES: filter names, sweeps over its flags and reserved counts, random flights and streams, and
 values follow from it.  Other names are lines of tests/published.txt."""
 import re
-import struct
 
 import published
 
@@ -74,15 +73,29 @@ class Message(tuple):
     """A message: (name, title, fields), the fields in the document's order: name, size in bytes, and what it is: (min, max,
     unit) for a compressed float, Flags, a set of the values that the document defines, Number, None for a time.
 
-    every: its period in seconds, None for no period; answers: the message that commands it; generated: { filter name: (field, operator, field) },
-    of which derived are in tables, too."""
+    every: its period in seconds, None for no period; answers: the message that commands it.  generated: { name: (field, operator,
+    field) }, of which derived are in tables, too: as published.  alarms: { field: the bits that are faults }."""
 
-    def __new__(cls, name, title, fields, every=None, answers=None, generated=(), derived=()):
+    def __new__(cls, name, title, fields, every=None, answers=None):
         self = super().__new__(cls, (name, title, fields))
         self.name, self.every, self.answers = name, every, answers
         self.size = sum(size for _, size, _ in fields)
-        self.generated, self.derived = dict(generated), list(derived)
+        formulas = {path.removeprefix(f"{name}."): text for path, text in published.of("formula").items() if path.startswith(f"{name}.")}
+        self.generated = {value: tuple(text.split()) for value, text in formulas.items()}
+        self.derived = [value for value in self.generated if f"{name}.{value}" in published.of("column")]
+        self.alarms = {field: kind.faults for field, _, kind in fields if isinstance(kind, Flags) and kind.faults}
+        groups = [(kind.faults != 2 ** (8 * size) - 1, at, kind[0]) for at, (_, size, kind) in enumerate(fields)
+                  if isinstance(kind, Flags) and kind.faults]
+        self.fault_group = min(groups)[2] if groups else None  # whose changes are linked: of nothing but faults, if there is one
+        self.has_clock = any(kind is None for _, _, kind in fields)
         return self
+
+    def counts(self, payload):
+        """The fields of a payload: (name, size, kind, count)."""
+        at = 0
+        for field, size, kind in self[2]:
+            yield field, size, kind, int.from_bytes(payload[at:at + size], "little")
+            at += size
 
 
 MESSAGES = {
@@ -96,17 +109,13 @@ MESSAGES = {
         ("motor_temperature", 1, TEMPERATURE), ("motor_mode", 1, set(MEANINGS["motor_mode"])),
         ("status_flags", 4, Flags("status", STATUS)), ("fault_flags", 4, Flags("fault", FAULT, 0xFFFF_FFFF)),
         ("timestamp", 8, None), ("motor_state", 1, Flags("state", STATE, FAULTED)), ("esc_temperature", 1, TEMPERATURE)],
-        0.1, "command", {"torque_iq_error": ("torque_iq_measured", "-", "torque_iq_commanded"),
-                         "rpm_error": ("rpm_measured", "-", "rpm_commanded"), "dc_power": ("dc_voltage", "*", "dc_current")},
-        ["dc_power"]),
+        0.1, "command"),
     HEALTH: Message("health", "Health", [
         ("timestamp", 8, None), ("control_thread_cpu", 1, PERCENT), ("taurus_thread_cpu", 1, PERCENT),
         ("cpu_temperature", 1, TEMPERATURE), ("capacitor_temperature", 1, TEMPERATURE),
         ("fet_temperature", 1, TEMPERATURE), ("vin_rms_ripple", 1, RIPPLE), ("vin_pp_ripple", 1, RIPPLE),
         ("taurus_status", 1, Flags("status", HEALTH_STATUS)), ("board_revision", 1, Number())], 0.5),
 }
-# The bits that are faults, by the name of the field.
-ALARMS = {field: kind.faults for message in MESSAGES.values() for field, _, kind in message[2] if isinstance(kind, Flags)}
 SPECIALS = ["Not a Number", "Positive Infinity", "Negative Infinity", "Out of Range High", "Out of Range Low"]
 
 
@@ -116,6 +125,10 @@ def is_float(kind):
 
 def is_flags(kind):
     return isinstance(kind, tuple) and len(kind) == 2
+
+
+def is_enum(kind):
+    return isinstance(kind, set)
 
 
 def is_number(kind):
@@ -172,45 +185,50 @@ def sweep(ident):
     return [b"".join(counts[field].to_bytes(size, "little") for field, size, _ in fields) for counts in found]
 
 
-def alarms(payload=None):
-    """The faults of Motor Data, or those that are set in a payload, as (field, flag): in the order of the table, of each
-    field those that it does not define behind the others."""
-    found, at = [], 0
-    for field, size, kind in MESSAGES[MOTOR][2]:
-        count = ALARMS.get(field, 0) & (-1 if payload is None else int.from_bytes(payload[at:at + size], "little"))
+def alarms(ident, payload=None):
+    """The faults of a message, or those that are set in a payload, as (field, flag): in the order of the table, of each field
+    those that it does not define behind the others."""
+    message, found = MESSAGES[ident], []
+    for field, size, kind, count in message.counts(payload or bytes(MESSAGES[ident].size)):
+        count = message.alarms.get(field, 0) & (-1 if payload is None else count)
         bits = {1 << place: f"undefined_{1 << place:#x}" for place in range(8 * size)} if count else {}
         names = kind[1] if count else {}
         found += [(field, flag) for bit, flag in [*names.items(), *bits.items()]
                   if count & bit and (flag in names.values() or bit not in names)]
-        at += size
     return found
 
 
-OPERATORS = {"-": lambda a, b: a - b, "*": lambda a, b: a * b}
+OPERATORS = {"-": lambda a, b: a - b, "*": lambda a, b: a * b, "+": lambda a, b: a + b}
+
+
+def numbers(ident, payload):
+    """The values that can be averaged: {field: value}; None where a count is reserved."""
+    found = {}
+    for field, size, kind, count in MESSAGES[ident].counts(payload):
+        if is_float(kind):
+            found[field] = value(count, size, kind[0], kind[1]) if count <= 2 ** (8 * size) - MAPPING else None
+        elif is_number(kind):
+            found[field] = count
+    for name, (a, operator, b) in MESSAGES[ident].generated.items():
+        values = found[a], found[b]
+        found[name] = None if None in values else OPERATORS[operator](*values)
+    return found
 
 
 def generated(ident, payload):
     """The values that are worked out from two fields: { filter name: number }."""
-    message, numbers, at = MESSAGES[ident], {}, 0
-    for field, size, kind in message[2]:
-        count = int.from_bytes(payload[at:at + size], "little")
-        at += size
-        if is_float(kind) and count <= 2 ** (8 * size) - MAPPING:
-            numbers[field] = value(count, size, kind[0], kind[1])
-    return {f"taurus.{message[0]}.{name}": OPERATORS[operator](numbers[a], numbers[b])
-            for name, (a, operator, b) in message.generated.items() if a in numbers and b in numbers}
+    return {f"taurus.{MESSAGES[ident].name}.{name}": number for name, number in numbers(ident, payload).items()
+            if name in MESSAGES[ident].generated and number is not None}
 
 
 def decode(ident, payload, divisor=MAPPING):
     """What the fields of a message show: {filter name: text}, and the expert items it raises: a list of names."""
-    name, _, fields = MESSAGES[ident]
-    shown, experts, at = {f"taurus.{name}": "1"}, [], 0
-    for field, size, kind in fields:
+    name = MESSAGES[ident].name
+    shown, experts = {f"taurus.{name}": "1"}, []
+    for field, size, kind, count in MESSAGES[ident].counts(payload):
         path = f"taurus.{name}.{field}"
-        count = int.from_bytes(payload[at:at + size], "little")
-        at += size
         if kind is None:
-            shown[path] = time_text(struct.unpack("<q", payload[at - 8:at])[0])
+            shown[path] = time_text(count - (count >> 63 << 64))
         elif is_float(kind):
             special = 2 ** (8 * size) - 1 - count
             if special < 5:
@@ -223,7 +241,7 @@ def decode(ident, payload, divisor=MAPPING):
             shown[path] = f"0x{count:0{2 * size}x}"
             for bit, flag in bits.items():
                 shown[f"taurus.{name}.{group}.{flag}"] = "1" if count & bit else "0"
-            if count & ALARMS.get(field, 0):
+            if count & MESSAGES[ident].alarms.get(field, 0):
                 experts.append("taurus.fault.active")
             if count & ~sum(bits):
                 experts.append("taurus.flags.undefined")

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The published names: tests/published.txt, typed by hand, beside what the plugin describes of itself, fields.json.
+"""The published names: tests/published.txt, beside what the plugin describes of itself, fields.json.
 
 A line is a sort of name, the name, and what programs rely on: its type, or the like.  A line that vanishes or changes breaks
-what somebody wrote; a new name is a new line.
+what somebody wrote, so a person alone takes one out or changes it.  A new name is a new line.
 
-    published.py    prints the lines that the plugin has and the file has not, and the other way round
+    published.py         prints the lines that the plugin has and the file has not, and the other way round
+    published.py --add   adds new ones to the file, as make regenerate does
 """
 import functools
 import json
 import pathlib
 import shutil
+import sys
 
 import tshark
 
@@ -41,6 +43,7 @@ def names(found):
         lines |= of("key", statistic["columns"], "type", "unit", before=f"{name}.")
     for name, message in found["messages"].items():
         lines |= of("column", message["columns"], "type", "unit", before=f"{name}.")
+        lines |= of("formula", message["formulas"], "left", "operator", "right", before=f"{name}.")
     return lines
 
 
@@ -65,5 +68,18 @@ def differences(written, there):
     return [f"{sign} {' '.join(name)} {rest}".rstrip() for name, sign, rest in sorted(rows)]
 
 
+def add():
+    """Add the lines of new names to the file, each sort behind its own."""
+    lines, there = FILE.read_text().splitlines(), names(inventory())
+    for (sort, name), rest in there.items():
+        if (sort, name) not in read():
+            same = [at for at, line in enumerate(lines) if line.startswith(f"{sort} ")] or [len(lines) - 1]
+            lines.insert(same[-1] + 1, f"{sort} {name} {rest}".rstrip())
+    FILE.write_text("\n".join(lines) + "\n")
+
+
 if __name__ == "__main__":
-    print("\n".join(differences(read(), names(inventory()))))
+    if "--add" in sys.argv:
+        add()
+    else:
+        print("\n".join(differences(read(), names(inventory()))))

@@ -225,7 +225,7 @@ def of_flags(ident, messages):
         for field, size, (group, bits) in filter(lambda row: model.is_flags(row[2]), model.MESSAGES[ident][2]):
             top = f"taurus.{model.MESSAGES[ident][0]}."
             now = int(fields[top + field], 16)
-            old = before.get(field, now & ~model.ALARMS.get(field, 0))  # in a first message faults are raised
+            old = before.get(field, now & ~model.MESSAGES[ident].alarms.get(field, 0))  # in a first message faults are raised
             before[field] = now
             unknown = now & ~sum(bits)
             texts = [name for bit, name in bits.items() if now & bit] + [f"undefined {unknown:#x}"] * bool(unknown)

@@ -6,7 +6,6 @@ YAPP_FLIGHTS=100: more seeds.
 import bisect
 import collections
 import os
-import struct
 from decimal import Decimal
 
 import pytest
@@ -18,11 +17,17 @@ import published
 import tshark
 
 SEEDS = range(1, int(os.environ.get("YAPP_FLIGHTS", levels.size(3, 4))) + 1)
-FLAGS = [f"taurus.motor.{group}.{way}" for group in ("fault", "status", "state") for way in ("raised", "cleared")]
-LINKS = ["taurus.motor.command_in", "taurus.motor.fault.previous_change", "taurus.motor.fault.next_change"]
-TIMES = ["taurus.motor.fault.active_time", "taurus.motor.clock_drift", "taurus.health.clock_drift"]
+FLAGS = [f"taurus.{message.name}.{kind[0]}.{way}" for message in model.MESSAGES.values() for _, _, kind in message[2] if model.is_flags(kind)
+         for way in ("raised", "cleared")]
+ALARMED = [f"taurus.{message.name}.{message.fault_group}" for message in model.MESSAGES.values() if message.fault_group]
+LINKS = [f"taurus.{message.name}.{message.answers}_in" for message in model.MESSAGES.values() if message.answers]
+LINKS += [f"{group}.{way}_change" for group in ALARMED for way in ("previous", "next")]
+TIMES = [f"{group}.active_time" for group in ALARMED]
+TIMES += [f"taurus.{message.name}.clock_drift" for message in model.MESSAGES.values() if message.has_clock]
+FORMULAS = [f"taurus.{message.name}.{name}" for message in model.MESSAGES.values() for name in message.generated]
 # These are of every message, whole or not: looked at in the last frames of good ones.
-OF_ANY = ["yapp.bus", "yapp.source", "yapp.time_delta", "taurus.motor.rpm_error", "taurus.motor.torque_iq_error"]
+COMMANDS = {message.answers for message in model.MESSAGES.values()}
+OF_ANY = ["yapp.bus", "yapp.source", "yapp.time_delta", *FORMULAS]
 # What an unreliable source has none of.
 OF_HISTORY = model.CHANGE_EXPERTS + FLAGS + LINKS + TIMES + ["yapp.seq.missing"]
 # The last two are not of one message alone.
@@ -37,13 +42,13 @@ class Truth:
         self.ends, self.fault_frames = set(), set()
         self.commands, self.shared = collections.defaultdict(list), {}  # shared: frame: messages of its source before it
         for sender, messages, is_shared in flight.sources():
-            if sender.kind == "command":
-                self.commands[sender.bus] = [one.frames[-1].number for one in messages if one.is_good]
-            elif is_shared:
+            if sender.kind in COMMANDS:
+                self.commands[sender.kind, sender.bus] = [one.frames[-1].number for one in messages if one.is_good]
+            if is_shared and sender.has_clock:
                 for index, message in enumerate(messages):
                     self.shared.update({frame.number: (sender, index) for frame in message.frames})
         for sender, messages, is_shared in flight.sources():
-            if sender.kind == "command" or not is_shared:
+            if not sender.has_clock or not is_shared:
                 self.source(sender, messages)
 
     def source(self, sender, messages):
@@ -53,8 +58,12 @@ class Truth:
                 self.good(sender, message, before, state)
                 before = message
         for number, following in zip(state["changes"], state["changes"][1:]):
-            self.frames[number]["taurus.motor.fault.next_change"] = following
+            self.frames[number][self.group(sender) + ".next_change"] = following
         self.after_changes(messages, state["changes"])
+
+    @staticmethod
+    def group(sender):
+        return f"taurus.{sender.kind}.{sender.message.fault_group}"
 
     def address(self, sender):
         """What a source without a name is called: its ID, and where the capture has several buses the bus before it."""
@@ -67,10 +76,10 @@ class Truth:
             if self.has_fault(message) and number and changes and number not in changes:
                 at = bisect.bisect(changes, number)
                 if at < len(changes):
-                    self.frames[number]["taurus.motor.fault.next_change"] = changes[at]
+                    self.frames[number][self.group(message.sender) + ".next_change"] = changes[at]
 
     def has_fault(self, message):
-        return message.sender.kind == "motor" and model.alarms(message.payload) != []
+        return message.sender.message is not None and model.alarms(flights.KIND[message.sender.kind], message.payload) != []
 
     def faulty(self, message, frames):
         if self.has_fault(message):
@@ -87,11 +96,11 @@ class Truth:
         shown["yapp.time_delta"] = gap
         if gap and sender.kind in flights.EVERY:
             shown["yapp.late"] = gap > round(flights.LATE * flights.EVERY[sender.kind] * flights.SECOND)
-        if sender.kind in ("motor", "health"):
+        if sender.has_clock:
             self.clock(sender, message, state, shown)
         shown["yapp.seq.missing"] = flights.missing_before(message, state, shown.get("taurus.reboot")) or None
-        if sender.kind == "motor":
-            self.motor(message, before, state, shown)
+        if sender.message:
+            self.values(message, before, state, shown)
 
     @staticmethod
     def clock(sender, message, state, shown):
@@ -104,31 +113,31 @@ class Truth:
         state["clock"], state["at"] = clock, at
         shown[f"taurus.{sender.kind}.clock_drift"] = clock - state["origin"][0] - (at - state["origin"][1])
 
-    def motor(self, message, before, state, shown):
-        last = message.frames[-1]
-        for field, group, offset, shape in ("status_flags", "status", 14, "I"), ("fault_flags", "fault", 18, "I"), \
-                ("motor_state", "state", 30, "B"):
-            now = struct.unpack_from("<" + shape, message.payload, offset)[0]
-            unknown = now & ~model.ALARMS[field]  # in a first message faults are raised
-            old = struct.unpack_from("<" + shape, before.payload, offset)[0] if before else unknown
-            shown[f"taurus.motor.{group}.raised"], shown[f"taurus.motor.{group}.cleared"] = now & ~old, old & ~now
-        self.faults(last, *({*model.alarms(one.payload)} if one else set() for one in (message, before)), state, shown)
-        at = bisect.bisect_left(self.commands[last.bus], last.number)
-        shown["taurus.motor.command_in"] = self.commands[last.bus][at - 1] if at else None
-        counts = struct.unpack_from("<6H", message.payload)
-        for name, kind, at in ("torque_iq", model.CURRENT, 0), ("rpm", model.SPEED, 2):
-            values = [model.value(count, 2, kind[0], kind[1]) for count in counts[at:at + 2] if count < 65531]
-            shown[f"taurus.motor.{name}_error"] = values[1] - values[0] if len(values) == 2 else None
+    def values(self, message, before, state, shown):
+        last, sender, ident = message.frames[-1], message.sender, flights.KIND[message.sender.kind]
+        counts = {field: count for field, _, _, count in sender.message.counts(before.payload)} if before else {}
+        for field, _, kind, now in sender.message.counts(message.payload):
+            if model.is_flags(kind):
+                old = counts.get(field, now & ~kind.faults)  # in a first message faults are raised
+                path = f"taurus.{sender.kind}.{kind[0]}"
+                shown[f"{path}.raised"], shown[f"{path}.cleared"] = now & ~old, old & ~now
+        if sender.message.alarms:
+            self.faults(message, *({*model.alarms(ident, one.payload)} if one else set() for one in (message, before)), state, shown)
+        if sender.message.answers:
+            commands = self.commands[sender.message.answers, last.bus]
+            at = bisect.bisect_left(commands, last.number)
+            shown[f"taurus.{sender.kind}.{sender.message.answers}_in"] = commands[at - 1] if at else None
+        shown.update(model.generated(ident, message.payload))
 
-    @staticmethod
-    def faults(last, now, old, state, shown):
+    def faults(self, message, now, old, state, shown):
+        last, group = message.frames[-1], self.group(message.sender)
         state["faults"] = {flag: state["faults"].get(flag, last.at) for flag in now}
         shown["taurus.fault.raised"], shown["taurus.fault.cleared"] = now - old != set(), old - now != set()
         changes = state["changes"]
         if (now or now != old) and changes:
-            shown["taurus.motor.fault.previous_change"] = changes[-1]
+            shown[f"{group}.previous_change"] = changes[-1]
         if now:
-            shown["taurus.motor.fault.active_time"] = last.at - min(state["faults"].values())
+            shown[f"{group}.active_time"] = last.at - min(state["faults"].values())
         if now != old:
             changes.append(last.number)
 
@@ -144,7 +153,7 @@ def value_of(name, text):
         return True
     if name in TIMES or name == "yapp.time_delta":
         return nanoseconds(text)
-    return text if name in ("yapp.bus", "yapp.source") else float(text) if name.endswith("_error") else \
+    return text if name in ("yapp.bus", "yapp.source") else float(text) if name in FORMULAS else \
         tshark.truth(text) if name == "yapp.message.fault" else int(text, 0)
 
 
@@ -157,7 +166,7 @@ def is_right(name, found, wanted):
         return abs(found - wanted) <= 2  # what is left of two doubles
     if isinstance(wanted, set):
         return found in wanted
-    return abs(found - wanted) < 1e-6 * max(1, abs(wanted)) if name.endswith("_error") else found == wanted
+    return abs(found - wanted) < 1e-5 * max(1, abs(wanted)) if name in FORMULAS else found == wanted
 
 
 def frames_with(rows, name):
@@ -212,15 +221,13 @@ def test_the_comparison_sees_each_field(folder):
         rows[index][place] = before
         found.add(name)
     missing = {*OF_HISTORY, *OF_ANY} - found
-    assert missing <= {"taurus.reboot"}, missing
+    assert missing <= {"taurus.reboot", *(name for name in FLAGS if not name.startswith(tuple(ALARMED)))}, missing
 
 
 def test_each_field_that_is_worked_out_is_compared():
     """Here; elsewhere stands what test_captures.py and test_experts.py compare."""
-    elsewhere = {"rounded", "names", "undefined", "dc_power"}
     here = {name for name in published.of("field").keys() - model.filters().keys()
-            if name.startswith("taurus.") and name.rpartition(".")[2] not in elsewhere}
-    here -= {"taurus.health.status.raised", "taurus.health.status.cleared"}
+            if name.startswith("taurus.") and name.rpartition(".")[2] not in ("rounded", "names", "undefined")}
     of_yapp = {"yapp.bus", "yapp.source", "yapp.time_delta", "yapp.seq.missing", "yapp.message.fault", "yapp.unfinished"}
     assert set(NAMES) == here | of_yapp | {*model.CHANGE_EXPERTS, "yapp.source.shared"}
 
@@ -245,7 +252,7 @@ def test_shared_sources(folder, seed, passes):
     said, is_unreliable = frames_with(rows, "yapp.source.shared"), set()
     places = [(truth.shared[number][0].bus, truth.shared[number][0].ident) for number in said]
     certain = {(sender.bus, sender.ident) for sender, messages, is_shared in flight.sources()
-               if is_shared and sender.kind in ("motor", "health") and are_several(messages)}
+               if is_shared and sender.has_clock and are_several(messages)}
     if seed == SEEDS[0]:  # where nothing else is wanted, too
         alone = tshark.run("-r", capture, *flight.arguments(form), *passes, "-Y", "yapp.source.shared").stdout
         assert {int(line.split()[0]) for line in alone.splitlines()} == said
@@ -264,7 +271,7 @@ def test_shared_sources(folder, seed, passes):
 
 @levels.each_once
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
-@pytest.mark.parametrize("name", model.CHANGE_EXPERTS + FLAGS[:2] + LINKS + TIMES)
+@pytest.mark.parametrize("name", model.CHANGE_EXPERTS + [name for name in FLAGS if name.startswith(tuple(ALARMED))] + LINKS + TIMES)
 def test_a_filter_alone(folder, name, passes):
     """Where nothing else is wanted of the tree, the history is asked for no more than that."""
     flight = flights.make(2)

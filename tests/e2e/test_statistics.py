@@ -23,6 +23,7 @@ import published
 import tshark
 
 SEEDS = range(1, int(os.environ.get("YAPP_FLIGHTS", levels.size(3, 4))) + 1)
+HAVE_FAULTS = [message.name for message in model.MESSAGES.values() if message.alarms]
 PASSES = {"one pass": (), "two passes": ("-2",)}
 CASES = [(seed, flights.FORMS[seed % 3], passes) for seed in SEEDS for passes in PASSES]
 CASES += [(1, flights.LATE_PCAPNG, passes) for passes in PASSES]
@@ -62,7 +63,7 @@ def assert_left_out(said, truth, is_about_faults):
     events = truth["events"]
     unknown = sum(line["count"] for line in events if line["kind"] == "unknown")
     hiding = {row["name"]: row["hides"] for row in published.inventory()["kinds"] if row["hides"]}
-    counts = {text: sum(line.get("count", 1) for line in events if line["kind"] == kind and line["message"] in (None, "motor"))
+    counts = {text: sum(line.get("count", 1) for line in events if line["kind"] == kind and line["message"] in (None, *HAVE_FAULTS))
               for kind, text in hiding.items()}
     counts["missing by their period"] = truth["missing_by_period"]
     hiding = ", ".join(f"{count} {text}" for text, count in counts.items() if count)
@@ -173,7 +174,7 @@ def test_summary(results, seed, form, passes):
                 for field, of_field in value.items():
                     for end, number in of_field.items():
                         # The ends of a range have the seven digits of a value; a difference has those of its two.
-                        limit = 5e-4 if field.endswith("_error") else 5e-7
+                        limit = 5e-4 if any(field in message.generated for message in model.MESSAGES.values()) else 5e-7
                         assert_close(line[name][field][end], number, (field, end, truth), limit)
             elif isinstance(value, (float, Decimal)):
                 assert_close(line[name], value, (name, truth))
@@ -186,12 +187,9 @@ def check_row(row, frame, bus, source, message):
     who = {"time": f"{frame.at // flights.SECOND}.{frame.at % flights.SECOND:09d}", "frame": str(frame.number),
            "bus": bus or "", "source": source or "", "id": str(message.sender.ident), "seq": str(message.seq)}
     assert {name: row[name] for name in who} == who
-    at = 0
-    for field, size, kind in model.MESSAGES[flights.KIND[message.sender.kind]][2]:
-        count = int.from_bytes(message.payload[at:at + size], "little")
-        at += size
+    for field, size, kind, count in message.sender.message.counts(message.payload):
         if kind is None:
-            assert Decimal(row[field]) == seconds(count)
+            assert Decimal(row[field]) == seconds(count - (count >> 63 << 64))
         elif model.is_float(kind):
             special = 2 ** (8 * size) - 1 - count
             if special < 5:
@@ -297,7 +295,7 @@ def test_csv_alone(results, seed, form, passes):
     _, table, capture = results(seed, form, passes)
     alone = table.with_name(f"{table.name}.alone")
     statistics(flight_of(seed), form, capture, f"csv,{alone},json", passes=PASSES[passes])
-    assert {path.name for path in table.iterdir()} >= {"motor.csv", "health.csv", "command.csv"}
+    assert {path.name for path in table.iterdir()} >= {f"{kind}.csv" for kind in flights.KIND}
     for path in table.iterdir():
         assert (alone / path.name).read_text() == path.read_text()
 
@@ -315,7 +313,7 @@ def test_shared_sources(seed):
         lines += [json.loads(line) for line in done.stdout.splitlines()] if what == "events" else []
     shared = {(line["bus"], line["id"]): line["frame"] for line in lines if line["kind"] == "shared"}
     clocked = {(flight.bus_name(sender.bus, form), sender.ident) for sender, messages, is_shared in flight.sources()
-               if is_shared and sender.kind in ("motor", "health") and len(messages) > 30}
+               if is_shared and sender.has_clock and len(messages) > 30}
     assert clocked and clocked <= set(shared)
     assert sorted(notes) == sorted(3 * [(f"{ident:#x}", str(frame)) for (_, ident), frame in shared.items()])
     for line in lines:
@@ -378,7 +376,7 @@ def rules_of(summary, events):
     rules = [(kind, seen(kind)) for kind in model.RULES]
     loose = [f"{name}={count}" for name, count in rules]
     tight = [f"{name}={count - 1}" for name, count in rules if count]
-    for kind in ("command", "motor", "health"):
+    for kind in flights.KIND:
         counts = [line["count"] for line in summary if line["message"] == kind]
         if counts:
             loose.append(f"{kind}.count={min(counts)}")
@@ -394,7 +392,7 @@ def test_check_alone(results, seed):
     found, returned = statistics(flight_of(seed), form, capture, "check,json", check=False)
     loose, tight = rules_of(flight_of(seed).truth(form)["summary"], flight_of(seed).truth(form)["events"])
     failed = {line["rule"].split("=")[0] for line in found["check"] if line["ok"] is False}
-    assert returned == 20 and failed == {rule.split("=")[0] for rule in tight} - {"command.count", "motor.count", "health.count"}
+    assert returned == 20 and failed == {rule.split("=")[0] for rule in tight} - {f"{kind}.count" for kind in flights.KIND}
     clean = flights.make(seed, True)
     for passes in PASSES["one pass"], PASSES["two passes"]:
         done = tshark.run(*passes, *clean.arguments(form), "-q", "-r",

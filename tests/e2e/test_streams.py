@@ -34,7 +34,6 @@ INFO = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
 EXPERTS = ["crc.bad", "id.unknown", "stream.skipped", "fragment.incomplete", "truncated", "size.mismatch",
            "reserved.nonzero"]
 TAURUS = [name for name in model.filters() if name.count(".") > 1]  # the values
-assert {kind.rstrip("0123456789") for kind in map(model.filters().get, TAURUS)} == {"UINT", "DOUBLE", "RELATIVE_TIME", "BOOLEAN"}
 FIELDS = ["frame.number", INFO, "_ws.lua.error", "yapp", *(f"yapp.{name}" for name in [
     "id", "seq", "ctl", "size", "sync", "crc", "crc.status", "payload", "undecoded", "skipped", "fragment.data", "fragment",
     "fragment.count", "reassembled.in", "reassembled.length", "reassembled.data", "time_delta", *EXPERTS]), *TAURUS]
@@ -88,10 +87,10 @@ def is_longer(event):
     return event.kind == "good" and len(event.payload) > stream_captures.KNOWN.get(event.ident, 65535)
 
 
-def faults(payload):
+def faults(event):
     """What Info begins with: of each field the faults by name, and the bits without one."""
-    texts, found = [], model.alarms(payload)
-    for field in model.ALARMS:
+    texts, found = [], model.alarms(event.ident, event.payload)
+    for field in model.MESSAGES[event.ident].alarms:
         names = [flag for one, flag in found if one == field]
         undefined = sum(int(flag.removeprefix("undefined_"), 16) for flag in names if flag.startswith("undefined_"))
         texts += [flag for flag in names if not flag.startswith("undefined_")] + [f"undefined {undefined:#x}"] * bool(undefined)
@@ -107,8 +106,8 @@ def info(packet, event):
     known = model.MESSAGES.get(event.ident)
     if known:
         name = f"{known[1]} 0x{event.ident:x}{source}" if bus else known[1]
-        if event.ident == model.MOTOR and event.kind == "good" and (fits(event) or is_longer(event)):
-            name = faults(event.payload) + name
+        if event.kind == "good" and (fits(event) or is_longer(event)):
+            name = faults(event) + name
         return damage + (name if fits(event) or is_longer(event) else f"{name}, {counted(event.payload)}, the catalogue says")
     is_truncated = event.kind == "incomplete" and event is packet.events[-1] and packet.captured < len(packet.data)
     size = counted(event.payload)

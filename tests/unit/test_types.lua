@@ -339,7 +339,8 @@ function T.test_columns_are_described()
     preferences = { { "late", "bool", "Late", false, "about" } } } }
   local text = inventory.describe(settings, text_of.columns, {})
   lu.assertStrContains(text, '{"version":1,"plugin":"9.8.7","messages":{"m":{"title":"M","every":0.5,' ..
-    '"columns":[' .. table.concat(columns, ",") .. '],"differences":[]}},"statistics":{},"kinds":[{"name":"fault",')
+    '"columns":[' .. table.concat(columns, ",") .. '],"differences":[],"formulas":[]}},"statistics":{},' ..
+    '"kinds":[{"name":"fault",')
   lu.assertStrContains(text, '"fields":[{"name":"a.b","type":"UINT8","title":"A","help":"about"}],"experts":[],' ..
     '"preferences":[{"name":"late","type":"bool","title":"Late","default":false,"help":"about"}]}')
 end

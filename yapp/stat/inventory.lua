@@ -18,6 +18,7 @@ local PREFERENCE_KEYS = words("name type title default help")
 local KIND_KEYS = words("name text keys counts_as scope hides needs_time is_optional " ..
   "is_counted_only")
 local RULE_KEYS = words("name text help needs_time")
+local MESSAGE_KEYS = words("title every columns differences formulas")
 local STATISTIC_KEYS = words("title options help ask columns")
 
 -- Return a list of objects with these keys.
@@ -89,13 +90,27 @@ local function describe_differences(message_type)
   return output.list(list)
 end
 
+local FORMULA_KEYS = words("name left operator right unit title")
+
+local function describe_formula(item)
+  return output.object(FORMULA_KEYS, {
+    name = item.name,
+    left = item.a.name,
+    operator = item.operator,
+    right = item.b.name,
+    unit = item.unit,
+    title = item.title,
+  })
+end
+
 --- Describe all that is published.
 -- settings   see stat.taps
 -- list_of    function(message) -> its columns: the common ones, then message.text's
 -- statistics list of rows, see stat.options
 -- returns    JSON: { version = 1, plugin =, messages = { NAME = { title =, every = in seconds or
 --            null, columns = list of { those of COLUMN_KEYS }, differences = list of { those of
---            DIFFERENCE_KEYS } } }, statistics = { NAME = { those of STATISTIC_KEYS } },
+--            DIFFERENCE_KEYS }, formulas = list of { those of FORMULA_KEYS } } },
+--            statistics = { NAME = { those of STATISTIC_KEYS } },
 --            kinds, rules, fields, experts, preferences = lists of { those of their keys } }
 function M.describe(settings, list_of, statistics)
   local names, messages = {}, {}
@@ -105,11 +120,14 @@ function M.describe(settings, list_of, statistics)
       list[j] = describe_column(column)
     end
     names[i] = message_type.name
-    messages[message_type.name] = output.object(words("title every columns differences"), {
+    local formulas = {}
+    for j, item in ipairs(message_type.generated) do formulas[j] = describe_formula(item) end
+    messages[message_type.name] = output.object(MESSAGE_KEYS, {
       title = message_type.title,
       every = message_type.every,
       columns = output.list(list),
       differences = describe_differences(message_type),
+      formulas = output.list(formulas),
     })
   end
   local whats, described, published = {}, {}, settings.published
