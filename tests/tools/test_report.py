@@ -2,7 +2,9 @@
 """yapp-tables report: the page of a flight with known truth, in a real headless Chromium."""
 
 import base64
+import itertools
 import json
+import math
 import re
 import subprocess
 import time
@@ -16,6 +18,7 @@ from running import PLUGIN, motor_row, run_tables
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
+from yapp_tables import palette
 
 SECONDS = 120
 EXAMPLE = Path(__file__).parents[2] / "docs/flight.pcapng"
@@ -364,12 +367,11 @@ def test_times_are_read_by_people_and_count_from_the_captures_begin(example_brow
     (fault,) = [row for row in incidents_of(example_browser) if row["fault"]]
     assert fault["begin"] == pytest.approx(5.6138, abs=1e-9)
     said = example_browser.execute_script("return document.getElementById('verdict').textContent")
-    assert said.startswith("NOT GOOD: 1 fault, ")
+    assert said.startswith("NOT GOOD: 1 fault; all decoded")
     causes = causes_of(example_browser)
     assert re.match(
         r"right \(can1\): Motor overcurrent at 0:05\.614, \d\.\d{3} s; then a reboot and silence\.", causes[0]
     ), causes
-    assert re.match(r"can1 0x000: Command disabled 2\.\d{3} s at 0:06\.\d{3}; right stopped", causes[1]), causes
     silence = next(row for row in incidents_of(example_browser) if row["cells"][0] == "silence")
     assert (silence["begin"], float(silence["end"])) == pytest.approx((7.3138, 7.9138), abs=1e-9)
     assert silence["cells"][4] == "0.600 s"
@@ -714,6 +716,8 @@ def test_the_odd_one_is_marked_in_the_clouds(eight_browser):
     for text, found in clouds:
         assert "odd:" not in text  # of 300 s it was so for 0.6 s
         assert len(found) == 8
+        if "Voltage" in text:
+            continue
         odd = [
             (name, up)
             for name, _, y, symbols in found
@@ -817,9 +821,35 @@ def test_on_paper_nothing_is_cut_and_no_picture_is_split(eight):
         whole = "return [...document.querySelectorAll('figure, tr')].every(one => getComputedStyle(one).breakInside === 'avoid')"
         assert browser.execute_script(whole)
         pdf = browser.execute_cdp_cmd("Page.printToPDF", {"landscape": True, "preferCSSPageSize": True})
-        assert len(base64.b64decode(pdf["data"])) > 50_000
+        assert base64.b64decode(pdf["data"]).count(b"/Type /Page\n") == 4
     finally:
         browser.quit()
+
+
+def oklab(colour):
+    """A colour's place in a space where distances are those that people see, and its luminance."""
+    red, green, blue = (int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5))
+    r, g, b = (one / 12.92 if one <= 0.04045 else ((one + 0.055) / 1.055) ** 2.4 for one in (red, green, blue))
+    cones = (
+        0.4122 * r + 0.5363 * g + 0.0514 * b,
+        0.2119 * r + 0.6807 * g + 0.1074 * b,
+        0.0883 * r + 0.2817 * g + 0.63 * b,
+    )
+    long, middle, short = (one ** (1 / 3) for one in cones)
+    place = (0.2105 * long + 0.7936 * middle - 0.0041 * short, 1.978 * long - 2.4286 * middle + 0.4506 * short,
+             0.0259 * long + 0.7828 * middle - 0.8087 * short)  # fmt: skip
+    return place, 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+
+@pytest.mark.parametrize(("colours", "paper"), [(palette.LIGHT, "#ffffff"), (palette.DARK, "#14171a")])
+def test_sixteen_controllers_have_colours_that_stay_apart(colours, paper):
+    places = [oklab(colour)[0] for colour in colours]
+    assert len(places) == 16
+    assert min(math.dist(p, q) for p, q in itertools.combinations(places, 2)) > 0.16
+    ground = oklab(paper)[1]
+    for colour in colours:
+        low, high = sorted((oklab(colour)[1], ground))
+        assert (high + 0.05) / (low + 0.05) >= 2.95, colour
 
 
 def test_rules_that_cannot_be_read_are_an_error(make_capture, yapp_tables):

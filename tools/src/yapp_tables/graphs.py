@@ -12,11 +12,9 @@ from .api import read_flight
 from .config import Config
 from .errors import SetupError
 from .install import Wireshark, source_folder
+from .palette import LIGHT
 
 FILES = ("io_graphs", "plots")
-# Of the controllers, for a light background; those of the page of a flight.
-COLOURS: tuple[str, ...] = ("#3086e8", "#e16219", "#119c34", "#a18412", "#9c30e8", "#e8307d", "#1297a5", "#e83030")
-COLOURS += ("#972684", "#18625c", "#a32933", "#5d37cd", "#376218", "#76511e", "#545a16", "#324bc8")
 Controller = tuple[str, str]  # its name, and the display filter of its messages
 
 
@@ -66,7 +64,7 @@ def of_each(text: str, controllers: Sequence[Controller]) -> str:
             continue
         for at, (name, expression) in enumerate(controllers):
             both = " && ".join([expression, *filter(None, row[title + 1 : title + 2])])
-            own = [*row[:title], f"{row[title]} {name}", both, COLOURS[at % len(COLOURS)], *row[title + 3 :]]
+            own = [*row[:title], f"{row[title]} {name}", both, LIGHT[at % len(LIGHT)], *row[title + 3 :]]
             lines.append(_line(own))
     return "".join(f"{line}\n" for line in lines)
 

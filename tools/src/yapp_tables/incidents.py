@@ -55,32 +55,6 @@ def is_command(flight: Flight, message: str | None) -> bool:
     return known is not None and not any(column.role == "clock" for column in known.columns.values())
 
 
-def disabled_events(flight: Flight, start: int) -> list[Record]:
-    """Return an event `disabled` for each time a Command's `enabled` goes to 0 while a motor of its bus turns."""
-    found: list[Record] = []
-    if "enabled" not in (flight.messages["command"].columns if "command" in flight else ()):
-        return found
-    motors = flight["motor"].sort_by("time") if "motor" in flight else None
-    for bus in motors["bus"].unique().to_pylist() if motors is not None else ():
-        motor, command = (_of_bus(table, bus) for table in (motors, flight["command"].sort_by("time")))
-        speed, when = np.abs(np.nan_to_num(motor["rpm_measured"].to_numpy())), motor["time"].cast("int64").to_numpy()
-        told, at = command["enabled"].cast("int64").to_numpy(), command["time"].cast("int64").to_numpy()
-        for index in np.flatnonzero((told[1:] == 0) & (told[:-1] == 1)) + 1:
-            now = speed[(when > at[index] - 10**9) & (when <= at[index])]
-            if now.max(initial=0.0) > 0.1 * speed[when <= at[index]].max(initial=0.0):
-                again = np.flatnonzero(told[index:])[:1]
-                length = float((at[index + again[0]] - at[index]) / 1e9) if len(again) else None
-                row = command.slice(index, 1).to_pylist()[0]
-                event = dict.fromkeys(flight.events.schema.names) | {"kind": "disabled", "message": "command"}
-                event |= {"at": (int(at[index]) - start) / 1e9, "length": length}
-                found.append(event | {name: row[name] for name in ("bus", "id", "source", "controller", "frame")})
-    return found
-
-
-def _of_bus(table: Any, bus: str | None) -> Any:
-    return table.filter(np.array([each == bus for each in table["bus"].to_pylist()], bool))
-
-
 def excused(events: list[Record], names: Mapping[tuple[str | None, int], str]) -> dict[str, list[tuple[float, float]]]:
     """Return when a source is not compared: around its own reboots and silences, and a Command lost or disabled.
 
@@ -90,8 +64,8 @@ def excused(events: list[Record], names: Mapping[tuple[str | None, int], str]) -
     for event in events:
         if event["kind"] not in ("reboot", "silence", "disabled"):
             continue
-        span = event["at"] - 0.2, event["at"] + (event["length"] or 0.0 if event["kind"] != "disabled" else
-                                                 event["length"] or np.inf) + CALM  # fmt: skip
+        length = event["length"] or (np.inf if event["kind"] == "disabled" else 0.0)
+        span = event["at"] - 0.2, event["at"] + length + CALM
         for (bus, number), name in names.items():
             is_its = event["controller"] is not None and (number ^ (event["id"] or 0)) & 0xF == 0
             if bus == event["bus"] and (event["is_command"] or is_its):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .matrix import DEGREES, Part
+from .matrix import DEGREES, DIGITS, Part
 from .series import Array, Source, thin
 from .tables import Column
 
@@ -51,9 +51,8 @@ class Multiples:
                 continue
             at = len(self.heads)
             unit = f" {html.escape(column.unit)}" if column.unit else ""
-            self.heads.append(
-                f"<b>{html.escape(column.title)}</b> <span class=pale>{low:.4g} to {high:.4g}{unit}</span>"
-            )
+            span = f"{_text(low, column)} to {_text(high, column)}{unit}"
+            self.heads.append(f"<b>{html.escape(column.title)}</b> <span class=pale>{span}</span>")
             for number, (source, who) in enumerate(zip(part.found, part.whose, strict=True)):
                 own = [line[number] for line in lines]
                 self.rows.setdefault(self.sources[who]["controller"], {})[at] = self._picture(
@@ -82,7 +81,8 @@ class Multiples:
         kinds = ("told", "own")[-len(paths) :]
         shapes = "".join(f"<path class={kind} d='{path}'/>" for kind, path in zip(kinds, paths, strict=True))
         finite = lines[-1][np.isfinite(lines[-1])]
-        said = f"{finite.min():.4g} to {finite.max():.4g} {column.unit}" if len(finite) else "no value"
+        ends = f"{_text(finite.min(initial=np.inf), column)} to {_text(finite.max(initial=-np.inf), column)}"
+        said = f"{ends} {column.unit}" if len(finite) else "no value"
         label = html.escape(f"{about['label']}, {column.title}: {said}")
         return (
             f"<svg viewBox='0 0 {WIDTH} {HEIGHT}' preserveAspectRatio=none role=img aria-label='{label}' "
@@ -91,6 +91,10 @@ class Multiples:
 
     def _x(self, seconds: float) -> float:
         return seconds / self.length * WIDTH
+
+
+def _text(value: float, column: Column) -> str:
+    return f"{value:.{DIGITS.get(column.unit, 2)}f}"
 
 
 def _path(x: list[float], values: Array, low: float, high: float) -> str:

@@ -209,7 +209,8 @@ class Pictures:
                 if share > ODD_SHARE
             ]
         every = Column("total", amperes.type, "value", "Current of all", amperes.unit)
-        self._cloud(part, (every, volts), _total(part.found, current), part.values[volts.name], odd)
+        none = [np.zeros(len(own), bool) for own in current]
+        self._cloud(part, (every, volts), _total(part.found, current), part.values[volts.name], none)
 
     def _cloud(self, part: Part, axes: tuple[Column, Column], x: list[Array], y: list[Array], odd: list[Array]) -> None:
         title, lines = f"{axes[1].title} over {axes[0].title}", []

@@ -9,7 +9,7 @@
   const ROWS = 40; // of a table
   const AMBER = 0.1; // of the way between limits
   const PALE = 0.35, DASHES = ["dash", "dot", "dashdot", "longdash"]; // of who is not odd; of Commands
-  const PRINTED = 1000; // pixels: the width of a printed picture
+  const PRINTED = 510, PRINTED_HEIGHT = 118, PRINTED_CLOUD = 230, PRINTED_WIDE = 1030; // pixels: two pictures beside each other, or a wide one
   const NARROW = innerWidth < 700;
   // These buttons and no others: one of plotly's own uploads the chart to a server.
   const BUTTONS = [["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d"]];
@@ -145,7 +145,7 @@
   let blob, seen = whole, isPrinting = false;
   const timesOf = (number) => (known[number] ??= unfoldTimes(data.times[number]));
   let shownWidth = 0; // to ask for it costs a layout of the page
-  const width = () => isPrinting ? PRINTED : shownWidth ||= byId("pictures").clientWidth || innerWidth;
+  const width = () => isPrinting ? PRINTED_WIDE : shownWidth ||= byId("pictures").clientWidth || innerWidth;
   addEventListener("resize", () => { shownWidth = 0; });
 
   // Times and values of a line, unpacked when it is drawn first.
@@ -191,12 +191,21 @@
   function layout(height, x, y, more) {
     const style = getComputedStyle(document.body), grid = styled({ kind: "line" }, "backgroundColor");
     const axis = { gridcolor: grid, zeroline: false, ticklabeloverflow: "allow" };
-    return { height, autosize: !isPrinting, ...isPrinting ? { width: PRINTED } : {}, showlegend: false, separators: ".", dragmode: NARROW ? false : "zoom",
-      paper_bgcolor: style.backgroundColor, plot_bgcolor: "rgba(0,0,0,0)", font: { color: style.color, family: style.fontFamily, size: 12 },
+    return { autosize: !isPrinting, height: !isPrinting ? height : height === HEIGHT ? PRINTED_HEIGHT : height === CLOUD ? PRINTED_CLOUD : height,
+      ...isPrinting ? { width: more.barmode ? PRINTED_WIDE : PRINTED } : {}, showlegend: false, separators: ".", dragmode: NARROW ? false : "zoom",
+      paper_bgcolor: style.backgroundColor, plot_bgcolor: "rgba(0,0,0,0)", font: { color: style.color, family: style.fontFamily, size: isPrinting ? 9 : 12 },
       hoverlabel: { bgcolor: style.backgroundColor, font: { size: 11 } }, margin: { l: 46, r: 12, t: BAR, b: AXIS }, modebar: { bgcolor: "rgba(0,0,0,0)" },
       xaxis: { ...axis, ...x }, yaxis: { ...axis, ...y }, ...more };
   }
-  const overTime = () => ({ range: seen, ticksuffix: NARROW ? "" : " s", showticksuffix: "first", showspikes: true, spikemode: "across", spikethickness: 1, spikedash: "solid" });
+  // Ticks as the tables write times: 16:40, or 16:40.5 where they are near.
+  function ticks() {
+    const room = (seen[1] - seen[0]) / (width() < 700 ? 4 : 8), steps = [0.01, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600];
+    const step = steps.find((each) => each >= room) ?? 3600, digits = step < 0.1 ? 2 : step < 1 ? 1 : 0, tickvals = [];
+    for (let at = Math.ceil(seen[0] / step) * step; at <= seen[1] + 1e-9; at += step) tickvals.push(at);
+    const text = (s) => `${s < 0 ? "-" : ""}${Math.floor(Math.abs(s) / 60 + 1e-9)}:${(Math.abs(s) % 60).toFixed(digits).padStart(digits ? digits + 3 : 2, "0")}`;
+    return { tickvals, ticktext: tickvals.map((s) => text(Number(s.toFixed(3)))) };
+  }
+  const overTime = () => ({ range: seen, ...ticks(), showspikes: true, spikemode: "across", spikethickness: 1, spikedash: "solid" });
 
   // Lines over time, marks where a value is reserved, limits as bands.
   function lines(about, isRough) {
@@ -281,10 +290,10 @@
   function picture(box, head, height, key, isTime, drawn) {
     const div = make("div", { className: "plot" }), details = make("details", {}, make("summary", { textContent: "table" }));
     div.style.height = `${height}px`;
-    const figure = { div, drawn, isTime, isNear: false, isStale: true, details };
+    const figure = { div, drawn, isTime, height, isNear: false, isStale: true, details };
     div.dataset.stale = "";
     details.ontoggle = () => tabulate(figure);
-    box.append(make("figure", { className: isTime ? "" : "cloud" }, make("figcaption", {}, ...head), div, details));
+    box.append(make("figure", { className: isTime ? key.includes(".") || !key ? "" : "wide" : "cloud" }, make("figcaption", {}, ...head), div, details));
     div.parentNode.dataset.key = key;
     figures.push(figure);
     watcher.observe(div);
@@ -401,14 +410,14 @@
   }
 
   // The controllers by name and colour; they stay in sight while the pictures pass.
-  const ticks = new Map();
+  const boxes = new Map();
   function chips() {
     const box = byId("sources");
     data.sources.forEach(({ label, controller }, source) => {
-      if (ticks.has(controller)) return;
+      if (boxes.has(controller)) return;
       const tick = make("input", { type: "checkbox", checked: true });
       tick.onchange = () => { if (tick.checked) hidden.delete(controller); else hidden.add(controller); redraw(); };
-      ticks.set(controller, tick);
+      boxes.set(controller, tick);
       box.append(make("label", {}, tick, " ", patch(source), ` ${label}`));
     });
     box.append(make("button", { type: "button", textContent: "all", onclick: () => only(null) }),
@@ -419,7 +428,7 @@
   let single = null;
   function only(controller) {
     single = controller;
-    for (const [who, tick] of ticks) {
+    for (const [who, tick] of boxes) {
       tick.checked = controller === null || who === controller;
       if (tick.checked) hidden.delete(who); else hidden.add(who);
     }
@@ -450,6 +459,7 @@
   const printing = (isOn) => () => {
     isPrinting = isOn;
     root.classList.toggle("printing", isOn);
+    for (const { div, height } of figures) div.style.height = `${isOn && height === HEIGHT ? PRINTED_HEIGHT : isOn && height === CLOUD ? PRINTED_CLOUD : height}px`;
     if (isOn) figures.forEach((figure) => paint(figure)); else redraw();
   };
   addEventListener("beforeprint", printing(true));

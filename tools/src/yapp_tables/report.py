@@ -22,10 +22,11 @@ from .dataset import plain_name
 from .errors import SetupError
 from .flight import Flight
 from .html_table import html_table
-from .incidents import disabled_events, excused, fault_rows, filter_of, flag_of, is_command, joined, other_rows
+from .incidents import excused, fault_rows, filter_of, flag_of, is_command, joined, other_rows
 from .limits import Limits
 from .matrix import Matrix
 from .multiples import Multiples
+from .palette import css
 from .pictures import MARKS, Pictures, Record, first_of, packed
 from .records import controllers
 from .scratch import write_whole
@@ -83,7 +84,7 @@ def write_report(flights: Sequence[Flight], path: Path, limits: Limits | None = 
     found = report.data()
     blob = found.pop("blob")
     parts = {"/*MATRIX*/": report.matrix.html(), "/*MULTIPLES*/": report.multiples.html(report.matrix.labels)}
-    parts |= head(found)
+    parts |= head(found) | {"/*COLOURS*/": css()}
     parts |= {"/*VALUES*/": html_table(VALUES, [row for flight in flights for row in _values(flight)])}
     heads = {name: text for flight in flights for name, text in flight.heads.items()}
     parts |= {"/*SUMMARY*/": html_table(heads, [row for flight in flights for row in flight.sources()])}
@@ -191,8 +192,6 @@ class Report:
         for event, controller in zip(events, controllers(events), strict=True):
             event["controller"] = controller
             event["at"] = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
-        if not any(event["kind"] == "disabled" for event in events):
-            events += disabled_events(flight, start)
         for event in events:
             known = flight.messages.get(event["message"])
             event["title"] = flight.title(event["message"]) if event["id"] is not None else ""

@@ -91,8 +91,8 @@ def _differences(rows: list[Record], whole: float) -> Iterator[tuple[float, str,
         yield 40.0, text, row
     # Who warms as the others do is not called hot before it is.
     hot_fields = {row["field"] for row in hot}
-    limits = {row["field"]: row for row in rows if row["kind"] == "limit" or row["kind"] == "left" and
-              row["field"] in hot_fields}  # fmt: skip
+    limits = {row["field"]: row for row in rows if row["kind"] == "limit" or (row["kind"] == "left" and
+              row["field"] in hot_fields)}  # fmt: skip
     if hot:
         row = hot[0]
         end = "at the end" if row["end"] > whole - 10 else f"at {minute(row['end'])}"
