@@ -147,6 +147,10 @@ needs-bench: needs-tshark
 regenerate: needs-tshark needs-tools
 	@$(TOOLS)/python tools/regenerate.py
 
+## Six changes, each made in a scratch clone as CONTRIBUTING.md's table says: a message, a rule, a column, ...
+changes: needs-tests
+	/usr/bin/env python3 tests/changes.py
+
 screenshots:
 	tests/screenshots
 
@@ -184,7 +188,7 @@ test-tools: needs-tools
 	$(TOOLS)/mypy --config-file tools/pyproject.toml tools/src
 	$(TOOLS)/python -m pytest -q -rs -n auto --dist loadfile -p no:cacheprovider tests/tools
 
-.PHONY: test-tools needs-tools needs-tools-packages needs-gui needs-all gui gui-smoke plant blind
+.PHONY: changes test-tools needs-tools needs-tools-packages needs-gui needs-all gui gui-smoke plant blind
 
 # The viewer in the browser, docs/viewer.md.  Its packages stay in web/node_modules.
 needs-viewer: needs-python

@@ -6,6 +6,7 @@
 `-G currentprefs` the preferences. For -G tshark loads plugins from a plugin folder only, so the plugin is copied into an
 empty home.
 """
+import json
 import os
 import pathlib
 import re
@@ -46,6 +47,17 @@ def ask(home, what):
     done = subprocess.run(["tshark", "-G", what], env=environment, stdout=subprocess.PIPE,
                           stderr=subprocess.DEVNULL, check=True, **user)
     return done.stdout.decode()
+
+
+def inventory(home):
+    """fields.json, which the plugin writes beside its tables."""
+    user = {"user": 65534, "group": 65534, "extra_groups": []} if ROOT_IS_REFUSED else {}
+    environment = {"PATH": os.environ["PATH"], "HOME": str(home), "LC_ALL": "C.UTF-8"}
+    (home / "tables").mkdir(mode=0o777)
+    (home / "tables").chmod(0o777)
+    subprocess.run(["tshark", "-q", "-r", home / "run.pcapng", "-z", f"yapp,csv,{home}/tables"], env=environment, check=True,
+                   stdout=subprocess.DEVNULL, **user)
+    return json.loads((home / "tables/fields.json").read_text(encoding="utf-8"))
 
 
 def cell(text):
@@ -98,6 +110,12 @@ def page(home):
     for group, rows in sorted(groups.items(), key=lambda one: (one[0] != "yapp", one[0])):
         parts += [f"\n## Fields of {group}\n\n", table(["filter", "type", "meaning"], sorted(rows))]
     parts += ["\n## Expert items\n\n`tshark -z expert` counts them.\n\n", table(["filter", "meaning"], experts)]
+    found = inventory(home)
+    kinds = [(f"`{row['name']}`", row["text"], f"`{row['keys']}`" if row["keys"] else "") for row in found["kinds"]]
+    parts += ["\n## Events\n\nThe kinds of `-z yapp,events`, with their keys in JSON. `NAME=N` is a rule.\n\n",
+              table(["kind", "text", "keys"], kinds)]
+    parts += ["\n## Rules\n\nOf `-z yapp,check`, see [rules.md](rules.md).\n\n",
+              table(["rule", "meaning"], [(f"`{row['text']}`", row["help"]) for row in found["rules"]])]
     parts += ["\n## Preferences\n\n*Preferences > Protocols > YAPP*, or `-o NAME:VALUE`.\n",
               *preferences(ask(home, "currentprefs"))]
     return "".join(parts)
@@ -111,6 +129,7 @@ def main(target):
         for name in PLUGIN:
             source = TOP / name
             (shutil.copytree if source.is_dir() else shutil.copy)(source, plugins / name)
+        shutil.copy(TOP / "docs/first.pcapng", home / "run.pcapng")
         for path in [home, *home.rglob("*")]:
             path.chmod(0o755)
         target.write_text(page(home), encoding="utf-8")

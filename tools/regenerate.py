@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """make regenerate: write all that follows from the rows of the code and of the catalogue, and print what changed.
 
-New lines of tests/published.txt, the generated pages, the picture of CONTRIBUTING.md, the samples behind `<!-- run -->` in the pages, and what the captures show.
+New lines of tests/published.txt, the generated pages, the picture of CONTRIBUTING.md, the samples behind `<!-- run -->` in the
+pages, and what the captures show.  With --without-tables, less the pages that need the Python package.
+
 A home of its own: an installed plugin, profile or catalogue has no say.
 """
 import difflib
@@ -40,7 +42,7 @@ def sample(match):
 def write_all():
     for command in WRITERS:
         run(sys.executable, *command)
-    for command, page in PRINTED.items():
+    for command, page in {} if "--without-tables" in sys.argv else PRINTED.items():
         text = run(sys.executable, command)
         (TOP / page).write_text(text, encoding="utf-8")
     for page in [TOP / "README.md", *TOP.glob("docs/*.md")]:

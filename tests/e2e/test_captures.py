@@ -9,6 +9,7 @@ import xml.etree.ElementTree
 
 import pytest
 
+import flights
 import levels
 import model
 import published
@@ -478,13 +479,15 @@ def test_what_an_unknown_id_is_like(folder):
         assert tshark.run("-r", path, "-o", option, "-Y", f"taurus.{name}").stdout
 
 
-def test_rounded_values():
+def test_rounded_values(folder):
     """Of each message, where no tree is printed: those of its fields, with fewer digits."""
     names = [name.removesuffix(".rounded") for name in published.of("field") if name.endswith(".rounded")]
-    path, columns = tshark.ROOT / "docs/flight.pcapng", [f'"{name}","%Cus:{name}.rounded:0:R"' for name in names]
-    shown = tshark.run("-r", path, "-o", f"gui.column.format:{','.join(columns)}", "-T", "psml").stdout
+    flight = flights.make(3)
+    path, columns = flight.write(folder / "run.pcapng", "pcapng"), [f'"{name}","%Cus:{name}.rounded:0:R"' for name in names]
+    options = flight.arguments("pcapng")
+    shown = tshark.run("-r", path, *options, "-o", f"gui.column.format:{','.join(columns)}", "-T", "psml").stdout
     cells = [re.findall(r"<section>(.*?)</section>", row) for row in shown.split("<packet>")[1:]]
-    rows = list(zip(tshark.fields(path, names), cells, strict=True))
+    rows = list(zip(tshark.fields(path, names, *options), cells, strict=True))
     seen = {name: [(exact[at], cell[at]) for exact, cell in rows if exact[at] or cell[at]] for at, name in enumerate(names)}
     assert names and all(seen.values()), [name for name, pairs in seen.items() if not pairs]
     for name, pairs in seen.items():
