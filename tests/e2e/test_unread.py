@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Where not all was read, or the plugin itself failed, no statistic says that all is well."""
 import json
+import random
+import shutil
 import subprocess
 
 import pytest
@@ -126,3 +128,86 @@ def test_a_live_capture_of_which_tshark_reads_more_than_the_first_file(folder):
 def test_a_failed_rule_stays_failed_where_more_packets_cannot_mend_it(folder):
     done, _ = capture(folder, ["-b", "packets:75"], "-q", "-z", "yapp,check,fault=0,motor.count=1000")
     assert done.returncode == 20 and "FAILED      fault=0" in done.stdout and "NOT JUDGED  motor.count=1000" in done.stdout
+
+
+# Packets that tshark does not read, or forgets ---------------------------------------------------------------------------
+
+RESET = tshark.CAPTURES / "cases/session_reset.pcapng"  # of 408 packets; a fault rises in the 140th
+PACKETS = 408
+
+
+@pytest.mark.parametrize("count", [100, 139, 300, 407])
+def test_a_session_reset(count):
+    done = tshark.run("-M", str(count), "-r", RESET, "-q", "-z", "yapp,check,fault=0", "-z", "yapp,faults,json", check=False)
+    assert done.returncode == (20 if count > 200 else 21)
+    assert f"only {count} of {PACKETS} packets were read, as tshark -M forgets" in done.stderr
+
+
+@pytest.mark.parametrize("options, is_said", [
+    (["-c", "100"], True), (["-c408"], False), (["-c", "1000"], False), (["-M", "408"], False),
+    (["-2", "-R", "can", "-c", "300"], True), (["-2", "-R", "can", "-c", "500"], False)])
+def test_a_count_of_packets(options, is_said):
+    done = tshark.run(*options, "-r", RESET, "-q", "-z", "yapp,check,crc=0", check=False)
+    assert (done.returncode == 21, "packets were read, as -c stopped there" in done.stderr) == (is_said, is_said), done.stderr
+
+
+# Files that end early ----------------------------------------------------------------------------------------------------
+
+CUT = "the file ends early"
+
+
+def ends_early(path):
+    """Whether a statistic says it, and its exit code.  Some versions end with a code of their own."""
+    done = tshark.run("-r", path, "-q", "-z", "yapp,check,crc=0", check=False)
+    return CUT in done.stderr, done.returncode
+
+
+@pytest.mark.parametrize("name", ["cut.blf", "killed.log.zst"])
+def test_a_recorder_that_lost_power(name):
+    path = tshark.CAPTURES / "cases" / name
+    rules = "motor.dc_voltage=40..55,motor.count=100,crc=0"
+    done = tshark.run("-r", path, "-q", "-z", f"yapp,check,{rules}", "-z", "yapp,faults", check=False)
+    assert done.returncode == 21 and CUT in done.stderr and CUT in done.stdout
+
+
+@pytest.mark.parametrize("ending", ["blf", "blf.zst", "log.zst", "log.lz4", "pcapng.zst"])
+def test_whole_files(ending):
+    path = next((tshark.CAPTURES / "other").glob(f"*.{ending}"))
+    assert not ends_early(path)[0]
+
+
+def test_blf_that_was_cut_anywhere(folder):
+    """Also one that its recorder never closed: its size is that of the head."""
+    whole, path = (tshark.CAPTURES / "other/motor.blf").read_bytes(), folder / "cut.blf"
+    for count in (len(whole) - 1, len(whole) - 40):
+        path.write_bytes(whole[:count])
+        assert ends_early(path)[0], count
+    path.write_bytes(whole[:16] + (144).to_bytes(8, "little") + whole[24:])
+    assert ends_early(path) == (True, 21)
+
+
+@pytest.mark.parametrize("program, options", [
+    ("zstd", []), ("zstd", ["--no-check"]), ("lz4", []), ("lz4", ["-BX", "--content-size", "-B4"]), ("lz4", ["--no-frame-crc"])])
+def test_compressed_logs_that_were_cut_anywhere(folder, program, options):
+    """Several frames in a file, too, as of a recorder that goes on."""
+    if not shutil.which(program):
+        pytest.skip(f"no {program} here")
+    rng, log = random.Random(f"{program} {options}"), (tshark.CAPTURES / "cases/bus_off.log").read_bytes()
+    part = subprocess.run([program, "-cq", *options], input=log * 20, capture_output=True, check=True).stdout
+    whole, path = part + part, folder / ("cut.log.zst" if program == "zstd" else "cut.log.lz4")
+    path.write_bytes(whole)
+    assert ends_early(path) == (False, 0)
+    for count in rng.sample(range(len(part) + 100, len(whole)), 3):
+        path.write_bytes(whole[:count])
+        told, code = ends_early(path)
+        assert told and code, count
+
+
+# Frames that Wireshark refuses -------------------------------------------------------------------------------------------
+
+def test_can_fd_without_its_flag():
+    """Wireshark 4.6 dissects none of its 72 long frames; earlier versions do."""
+    path = tshark.CAPTURES / "cases/canfd_without_fdf.pcapng"
+    done = tshark.run("-r", path, "-q", "-z", "yapp,check,crc=0,dropped=71", "-z", "yapp,faults", check=False)
+    is_refused = tshark.version() >= (4, 6)
+    assert done.returncode == (20 if is_refused else 0) and ("this Wireshark does not dissect 72 packets" in done.stdout) == is_refused

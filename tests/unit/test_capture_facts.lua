@@ -101,7 +101,7 @@ end
 function T.test_the_head_of_a_file()
   capture_of { is_told = true }
   lu.assertEquals({ seen.head, seen.forgotten, seen.handler.name, seen.handler.kind, seen.sought },
-    { HEAD, true, "yapp_head", "rms", { "set", 8 } })
+    { HEAD, true, "yapp_head", "rms", { "set", 0 } })
   lu.assertEquals({ seen.more(5, 3), seen.sought }, { HEAD, { "cur", 5 } })
   lu.assertEquals({ seen.handler.read(), seen.handler.seek_read(), seen.compares_times }, { false, false, true })
 end

@@ -6,7 +6,7 @@ local lu = require("luaunit")
 
 local T = {}
 
-local NAMES = { "gui_enabled", "Listener", "Dir", "retap_packets", "all_field_infos" }
+local NAMES = { "gui_enabled", "get_version", "wtap", "Listener", "Dir", "retap_packets", "all_field_infos" }
 local MODULES = { "yapp.stat.taps", "yapp.stat.windows", "yapp.stat.run", "yapp.capture.command_line" }
 local PACKETS = 4
 local ERROR_FRAMES = "can.flags.err == 1" -- no packet is one
@@ -25,7 +25,7 @@ local function new_tap(name, filter)
 end
 
 local function new_queue(settings, hint)
-  local queue = { settings = settings, hint = hint, packets = 0 }
+  local queue = { settings = settings, hint = hint, packets = 0, unread = 0 }
   seen.queue = queue
   function queue.packet(self, number, rel, has_clock)
     self.packets = self.packets + 1
@@ -66,7 +66,7 @@ local function read_packets()
 end
 
 local function new_stat(is_gui)
-  local buses = stand_in("buses", { found = {} })
+  local buses = stand_in("buses", { found = { count = 0 } })
   function buses.drops() return { "of the buses" } end
   function buses.has_times() return not wireshark.lacks_times, wireshark.has_clock end
   function buses.begin(_, pinfo) return 17, math.floor(pinfo.rel_ts * 50) end
@@ -110,6 +110,8 @@ function T.setUp()
   _G.Listener = { new = new_tap }
   _G.Dir = { make = function(path) table.insert(seen.folders, path) end, exists = function() return false end }
   _G.retap_packets = read_packets
+  _G.wtap = { SOCKETCAN = 125 }
+  function _G.get_version() return "4.0.17 (of nobody)" end
   function _G.all_field_infos()
     return { name = "frame.number" }, { name = "frame.time_epoch", value = { secs = 17, nsecs = 5 } }
   end

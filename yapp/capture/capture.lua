@@ -7,6 +7,7 @@
 -- build the tree that has these.
 
 local command_line = require "yapp.capture.command_line"
+local ending = require "yapp.capture.ending"
 local fields_of = require "yapp.capture.fields"
 local file_readers = require "yapp.file.readers"
 local files = require "yapp.capture.file"
@@ -59,6 +60,8 @@ function M.watch()
     self.has_seen_file = true
     self.is_long_pipe = not (self.is_short or may_read)
     self.is_damaged = why ~= nil -- as a compressed file that was cut off
+    file:seek("set", 0)
+    self.seen.is_cut = (self.is_short or may_read) and ending.is_cut(file)
     file_readers.forget()
     return false
   end
@@ -151,6 +154,17 @@ end
 --- Return whether the capture is known to have several buses.
 function Capture:are_several()
   return self.found.has_several or file_readers.log().has_several
+end
+
+--- Return whether the file ends before its own end, see capture.ending.  Of a compressed one its
+-- name tells it, which not every system tells; nil where nothing does.
+function Capture:is_cut()
+  local options = command_line.options()
+  local path = options.r or options["read-file"]
+  local file = not self.found.is_cut and path and io.open(path, "rb")
+  local is_cut = file and ending.is_cut(file) or self.found.is_cut
+  if file then file:close() end
+  return is_cut
 end
 
 --- Return the packets that the capture dropped: a list of { time = seconds since 1970

@@ -44,6 +44,7 @@ function Run:reset()
   end)
   self.offered, self.number, self.visited = {}, nil, nil -- of the packet that is dissected
   self.waiting = {}
+  self.unread = 0 -- number of packets that came behind Run:stop
   self.packets, self.latest = 0, 0 -- how many packets came, and the number of the latest
   self.last = nil -- its time
   self.has_progress = false -- true if it differs from the packet's before
@@ -120,10 +121,12 @@ end
 
 local function ignore() end
 
---- Take no more packets: they are of another file.
+local function count_unread(self) self.unread = self.unread + 1 end
+
+--- Take no more packets, but count them: they are of another file, or numbered anew.
 function Run:stop()
   deliver_waiting(self)
-  self.report, self.packet = ignore, ignore
+  self.report, self.add_bus_error, self.packet = ignore, ignore, count_unread
 end
 
 -- The end -----------------------------------------------------------------------------------------

@@ -23,6 +23,14 @@ local UNREAD = "only %d of %d packets were read, as the reading was stopped, or 
   "read: press Refresh"
 local GOES_ON = "only %s were read: of a live capture with -b tshark analyses the first file: " ..
   "read each file with tshark -r"
+local RESET = "only %d of %d packets were read, as tshark -M forgets what came before: leave it out"
+local STOPPED = "only %s were read, as -c stopped there: leave it out"
+local CUT = "the file ends early, so what came last is missing: its recorder did not close it"
+local REFUSED = "this Wireshark does not dissect %s, as CAN FD without its flag FDF: use 4.4"
+-- COMPAT 4.6: earlier versions dissect CAN FD without its flag.
+local REFUSES_FRAMES = not get_version():find("^4%.[0-5]%.")
+local OF_CAN = ("(frame.encap_type == %d || sll.ltype == 0x0c || sll.ltype == 0x0d)"):format(
+  wtap.SOCKETCAN)
 local UNDECODED = "%s in this file %s not decoded; try %s"
 local RELOADED = "Lua plugins were reloaded while the capture was open, so not all of it is " ..
   "known: reload the capture, too (Ctrl+R)"
@@ -138,6 +146,20 @@ local function tap_bus_errors(self)
   end)
 end
 
+-- Count the frames that this Wireshark refuses, for each bus.
+local function tap_refused(self)
+  self.refused = {}
+  local by_source = memo(function(source)
+    return { bus = source.bus, count = 0, frame = nil, time = nil }
+  end, self.refused)
+  if not REFUSES_FRAMES then return end
+  tap_can(self, OF_CAN .. " && !can && !canfd && !canxl", function(source, pinfo)
+    local drop = by_source[source]
+    drop.count = drop.count + 1
+    drop.frame, drop.time = drop.frame or pinfo.number, drop.time or pinfo.abs_ts
+  end)
+end
+
 -- Show a statistic all CAN frames.
 -- filter  that these pass, or nil
 local function tap_frames(self, statistic, filter)
@@ -156,6 +178,7 @@ local function open(self)
   self.watch()
   tap_packets(self)
   tap_bus_errors(self)
+  tap_refused(self)
 end
 
 local function close(self)
@@ -164,14 +187,30 @@ local function close(self)
   self.headers:close()
 end
 
+-- Return whether -c may have stopped the reading of a file.
+local function is_stopped(self, packets)
+  local options, in_file = self.command, self.buses.found.count
+  local limit = options.r and tonumber(options.c)
+  if not limit or in_file > 0 and in_file <= limit then return false end
+  return packets >= limit or options.R ~= nil -- a read filter leaves out some
+end
+
 -- Return why packets of the capture were not read, nil if all were.
 local function explain_unread(self)
-  local packets = self.current.packets
-  if not IS_TSHARK then
-    return packets < self.total and UNREAD:format(packets, self.total) or nil
-  end
-  local is_ring = self.command.b or self.command["ring-buffer"]
-  return is_ring and GOES_ON:format(output.count(packets, "packet")) or nil
+  local packets, unread, options = self.current.packets, self.current.unread, self.command
+  if packets < self.total then return UNREAD:format(packets, self.total) end -- in Wireshark
+  local count = output.count(packets, "packet")
+  if options.b or options["ring-buffer"] then return GOES_ON:format(count) end
+  if unread > 0 then return RESET:format(packets, packets + unread) end
+  if is_stopped(self, packets) then return STOPPED:format(count) end
+  return self.buses:is_cut() and CUT or nil
+end
+
+-- Return that frames were not dissected; nil if all were.
+local function explain_refused(self)
+  local count = 0
+  for _, drop in ipairs(self.refused) do count = count + drop.count end
+  return count > 0 and REFUSED:format(output.count(count, "packet")) or nil
 end
 
 -- Return that YAPP in this file was not decoded; nil if no trace of it was found.
@@ -190,10 +229,11 @@ local function finish(self)
   local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
   return self.current:finish {
     results = reading:finish(MAY_GO_ON),
-    drops = joined(buses:drops(), reading:drops()),
+    drops = joined(buses:drops(), reading:drops(), self.refused),
     lacks_times = not buses:has_times(),
     extended = self.headers.extended,
-    problems = joined({ failed }, { unread }, { reloaded }, { explain_undecoded(self) }),
+    problems = joined({ failed }, { unread }, { reloaded },
+      { explain_refused(self) }, { explain_undecoded(self) }),
     unread = unread and "not all packets were read",
   }
 end
