@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """The page names whom an incident hit, with what it was, and nobody else. planted.py judges more flights."""
 
+import json
 import re
+import zipfile
 
 import planted
 import pytest
+import yapp_tables as yt
+from running import PLUGIN, run_tables
 
 
 @pytest.mark.parametrize(
@@ -23,3 +27,29 @@ def test_nobody_else_is_accused(tmp_path, seed, kinds):
     else:
         assert verdict.startswith("NOT GOOD: "), verdict
     assert verdict.endswith("; all decoded."), verdict
+
+
+def test_a_fault_for_the_vendor(tmp_path):
+    """Of the controller, its Commands and nobody else: whole messages, from 2 s before to 2 s behind the fault."""
+    name, begin, end = planted.write(tmp_path / "run.pcapng", 5, 60.0, ("overcurrent",))["overcurrent"]
+    done = run_tables(tmp_path, "case", "run.pcapng", "1", "--out", "case.zip", "--plugin", PLUGIN, *planted.OPTIONS)
+    assert done.returncode == 0, done.stderr
+    with zipfile.ZipFile(tmp_path / "case.zip") as archive:
+        archive.extractall(tmp_path)
+    card = json.loads((tmp_path / "card.json").read_text())
+    assert (card["source"], card["flags"][0]["flag"]) == (name, "motor_overcurrent")
+    assert "Left its range" in (tmp_path / "card.txt").read_text()
+    assert "plugin: 3." in (tmp_path / "versions.txt").read_text()
+    assert "card of the fault" in (tmp_path / "page.html").read_text()
+    part = yt.read(tmp_path / "frames.pcapng", options=planted.OPTIONS[1::2], plugin=PLUGIN)
+    assert part.left_out == []
+    end_of_bus = planted.ENDS[planted.NAMES.index(name) // 4]
+    assert {row["source"] for row in part.summary.to_pylist()} == {name, end_of_bus}
+    assert sum(row["incomplete"] for row in part.summary.to_pylist()) == 0
+    first = yt.read(tmp_path / "run.pcapng", options=planted.OPTIONS[1::2], plugin=PLUGIN)["command"]["time"][0].value
+    times = [(time.value - first) / 1e9 for message in part.values() for time in message["time"]]
+    assert begin - 2.11 < min(times) < begin - 1.8, times
+    assert end + 1.8 < max(times) < end + 2.2, times
+    done = run_tables(tmp_path, "case", "run.pcapng", "2", "--out", "no.zip", "--plugin", PLUGIN, *planted.OPTIONS)
+    assert (done.returncode, "run.pcapng has no fault 2" in done.stderr) == (1, True), done.stderr
+    assert not list(tmp_path.glob("no.zip*"))

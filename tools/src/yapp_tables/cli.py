@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The command: yapp-tables convert, report, graphs, baseline, prune; install, check, uninstall."""
+"""The command: yapp-tables convert, prune, report, case, diff, trend, graphs, baseline; install, check, uninstall."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ EXAMPLES = {
     "convert": ("'flights/**/*.pcapng' --to parquet --out data", "bench.pcapng --with stand.csv --to csv --out bench"),
     "prune": ("--out data", "--to delta --out s3://bucket/lake"),
     "report": ("run.pcapng --out flight.html", "a.pcapng b.pcapng --overlay --rules flight.rules --out both.html"),
+    "case": ("run.pcapng --out case.zip", "run.pcapng 2 -o yapp.motor_ids:0x210,0x211 --out case.zip"),
     "graphs": ("run.pcapng", "run.pcapng --out ~/.config/wireshark/profiles/bench"),
     "diff": ("before.pcapng after.pcapng", "'old/*.pcapng' 'new/*.pcapng' --rules flight.rules --junit diff.xml"),
     "trend": ("data", "data --out trend.html"),
@@ -91,6 +92,12 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("--rules", metavar="flight.rules", help="rules: their ranges are limits in the pictures")
     report.add_argument("--overlay", action="store_true", help="lay several flights over each other, on one page")
     report.set_defaults(run=_report)
+
+    one = commands.add_parser("case", parents=[how], help="a fault for the vendor: its frames, card, page, versions")
+    one.add_argument("capture", metavar="CAPTURE")
+    one.add_argument("number", metavar="N", nargs="?", type=_positive, default=1, help="of the fault, 1 for the first")
+    one.add_argument("--out", metavar="case.zip", required=True, help="the zip")
+    one.set_defaults(run=_case)
 
     draw = commands.add_parser("graphs", parents=[common], help="a line of each controller in the profile's graphs")
     draw.add_argument("--out", metavar="FOLDER", help="of a profile; without it the profile YAPP")
@@ -225,6 +232,12 @@ def _report(given: argparse.Namespace) -> int:
     if any(page["partial"] for page in pages):
         return FAILED
     return (FAILED if given.strict else INCOMPLETE) if any(page["left_out"] for page in pages) else 0
+
+
+def _case(given: argparse.Namespace) -> int:
+    write_case = need(f"{__package__}.case", "report").write_case
+    print(f"{given.out}: {write_case(Path(given.capture), given.number, _config(given), Path(given.out))}")
+    return 0
 
 
 def _graphs(given: argparse.Namespace) -> int:

@@ -60,6 +60,7 @@ class Flight(Mapping[str, pa.Table]):
         self.heads = SOURCES | {name: text for name, text in heads.items() if name not in SOURCES}
         self.statistics = statistics(export.records["summary"], columns_of(export.fields, "statistics"))
         self.aircraft: str | None = None
+        self.cards: list[dict[str, Any]] = []  # of its faults, where a page wants them
         self.catalogue = catalogue_version(export.fields)
         found = present(export)
         if not found:

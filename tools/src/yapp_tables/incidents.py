@@ -80,6 +80,7 @@ def _row(event: Record, what: str, **more: object) -> Record:
         "message": event["title"],
         "is_command": event["is_command"],
         "every": event["every"],
+        "frame": event["frame"],
         "begin": event["at"],
         "end": event["at"],
         "length": None,

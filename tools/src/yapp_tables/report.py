@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import html
+import itertools
 import json
 import re
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from plotly.offline import get_plotlyjs
 
+from . import cards
 from .api import read_flight
 from .config import Config, StrPath
 from .dataset import plain_name
@@ -29,6 +31,7 @@ from .multiples import Multiples
 from .palette import css
 from .pictures import MARKS, Pictures, Record, first_of, packed
 from .records import controllers
+from .records import incidents as count_incidents
 from .scratch import write_whole
 from .sources import source_name
 from .verdict import causes, head, headline, merged, named
@@ -73,6 +76,8 @@ def _read(capture: Path, config: Config) -> Flight:
     tshark, aircraft = config.of(capture)
     flight = read_flight(capture, tshark, has_begin=True)
     flight.aircraft = aircraft
+    if count := count_incidents(flight.events):
+        flight.cards, _ = cards.read(capture, tshark, range(1, min(count, cards.MOST) + 1))
     return flight
 
 
@@ -113,6 +118,9 @@ class Report:
         for flight, start in zip(self.flights, self.starts, strict=True):
             found = self._add(flight, start, f"{flight.name}: " if len(self.flights) > 1 else "")
             incidents += joined(found)
+            for card, row in itertools.product(flight.cards, incidents):
+                if row["is_fault"] and any(one["frame"] == card["frame"] for one in row["rows"]):
+                    row["card"] = cards.panel(card, flight.messages)
             rows += found
             self.pictures.flight += 1
         first, pictures = self.flights[0], self.pictures

@@ -38,11 +38,11 @@ def scratch(parent: str | os.PathLike[str] | None = None, run: str = "") -> Iter
         raise SetupError(f"the disk is full: {error.filename or where}; free some space there{advice}") from error
 
 
-def write_whole(path: Path, text: str) -> None:
+def write_whole(path: Path, content: str | bytes) -> None:
     """Write a file, in place of one that is there: nobody ever reads half of it. Raises OSError."""
     aside = path.with_name(f".{path.name}.part")
     try:
-        aside.write_text(text, encoding="utf-8", newline="")
+        aside.write_bytes(content.encode() if isinstance(content, str) else content)
         os.replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)

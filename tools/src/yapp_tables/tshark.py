@@ -138,26 +138,29 @@ class Tshark:
 
     def begin(self, capture: Path) -> int | None:
         """The time of a capture's first packet, whatever it is, in nanoseconds since 1970; None where none is told."""
-        first = [*self._reading(capture), "-c", "1", "-T", "fields", "-e", "frame.time_epoch"]
-        environment = self._environment()
-        text = subprocess.run(first, capture_output=True, text=True, check=False, env=environment).stdout.strip()
+        text = self.run(capture, ["-c", "1", "-T", "fields", "-e", "frame.time_epoch"]).strip()
         return int(Decimal(text).scaleb(9)) if re.fullmatch(r"\d+\.\d+", text) else None
 
     def packets(self, capture: Path, names: Sequence[str]) -> list[tuple[str, ...]]:
         """Return fields of the packets that end a message, ("yapp.id", ...): each combination once."""
-        command = [*self._reading(capture), "-Y", names[-1], "-T", "fields", "-E", "occurrence=l"]
-        for name in names:
-            command += ["-e", name]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, env=self._environment())
-        rows = dict.fromkeys(tuple(line.split("\t")) for line in done.stdout.splitlines())
+        wanted = [word for name in names for word in ("-e", name)]
+        text = self.run(capture, ["-Y", names[-1], "-T", "fields", "-E", "occurrence=l", *wanted])
+        rows = dict.fromkeys(tuple(line.split("\t")) for line in text.splitlines())
         return [row for row in rows if len(row) == len(names) and all(row[1:])]
+
+    def run(self, capture: Path, options: Sequence[str]) -> str:
+        """Return what tshark prints of a capture with these options."""
+        command, environment = [*self._reading(capture), *options], self._environment()
+        return subprocess.run(
+            command, capture_output=True, encoding="utf-8", errors="replace", check=False, env=environment
+        ).stdout
 
     def _environment(self) -> dict[str, str]:
         own = {"YAPP_MESSAGES": os.path.abspath(self.catalogue)} if self.catalogue else {}
         return LARGE_PIECES | os.environ | own
 
     def _reading(self, capture: Path) -> list[str]:
-        command = [self._program(), "-r", str(capture.resolve())]
+        command = [self.find(), "-r", str(capture.resolve())]
         if self.plugin is not None:
             command += ["-X", f"lua_script:{self._plugin()}"]
         if self.profile is not None:
@@ -173,7 +176,8 @@ class Tshark:
             command += ["-z", f"yapp,{what}{narrowed}"]
         return command
 
-    def _program(self) -> str:
+    def find(self) -> str:
+        """Return the path of the program. Raises SetupError."""
         found = shutil.which(self.program) if self.program else find_tshark()
         if not found:
             what = f"{self.program} is no program that can be run" if self.program else "tshark was not found"
@@ -207,7 +211,7 @@ class Tshark:
         raise CaptureError(f"{capture}: {said or f'tshark ended with {done.returncode}'}")
 
     def _no_plugin(self) -> str:
-        if os.name == "posix" and os.geteuid() == 0 and version_of(ask(self._program(), "--version")[0]) >= NOT_AS_ROOT:
+        if os.name == "posix" and os.geteuid() == 0 and version_of(ask(self.find(), "--version")[0]) >= NOT_AS_ROOT:
             return "as root, Wireshark 4.4 and later ignore Lua plugins without a word: run this as an ordinary user"
         if self.plugin is not None:
             return f"{self.plugin} has no -z yapp,csv: it is too old, or did not load"

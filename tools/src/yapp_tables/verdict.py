@@ -239,9 +239,12 @@ def _lines(data: Record) -> Iterator[str]:
     for incident in data["incidents"]:
         rows = incident["rows"]
         details = _details(rows[0])
-        if len(rows) > 1:
-            details = f"<button type=button aria-expanded=false>{len(rows)} events</button>"
+        card = incident.pop("card", "")
+        if card or len(rows) > 1:
+            what = "card of the fault" if card else f"{len(rows)} events"
+            details = f"<button type=button aria-expanded=false>{what}</button>"
         yield _line(data, "fault" if incident["is_fault"] else "", incident, incident["until"], details)
+        yield f"<tr class=part hidden><td colspan={len(HEADS)} class=card>{card}</td></tr>" if card else ""
         for row in rows if len(rows) > 1 else ():
             yield _line(data, "part", row, row["end"], _details(row))
 
