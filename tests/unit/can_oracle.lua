@@ -69,6 +69,11 @@ local function frames_since(open, message)
   return list
 end
 
+-- Whether a frame came twice.
+local function is_repeated(frames, i)
+  return i > 1 and frames[i - 1].data == frames[i].data
+end
+
 -- The first choice of frames, the last one among them, that is a good message.  Each may be left out
 -- if another Start came (may_skip), else one that came twice.
 -- returns  the chosen frames and the padding of the last
@@ -87,7 +92,7 @@ local function choose(self, message, frames, may_skip)
         if zeros then return zeros end
       end
       chosen[#chosen] = nil
-      if not (may_skip or frame.is_repeated) then return nil end
+      if not (may_skip or is_repeated(frames, i)) then return nil end
     end
   end
   local zeros = try(1, message.size)
@@ -136,23 +141,25 @@ end
 -- Remove a good message and its frames: whoever has an earlier Start was overtaken.  What lies in
 -- front of all open Starts is nobody's.
 local function remove_good(self, open, index, chosen, anomalies)
-  local message, frames = table.remove(open.messages, index), open.frames
+  local message = open.messages[index]
+  local own, is_chosen, is_stranger = frames_since(open, message), {}, false
+  for _, frame in ipairs(chosen) do is_chosen[frame] = true end
+  table.remove(open.messages, index)
   for i = 1, index - 1 do open.messages[i].is_overtaken = true end
   mark_twin(message)
-  local rest, is_stranger = {}, false
-  for _, frame in ipairs(remove(frames, chosen)) do
-    if open.messages[1] and frame.number > open.messages[1].start then
-      rest[#rest + 1] = frame
-    elseif frame.is_repeated then
+  local first = open.messages[1]
+  for i, frame in ipairs(own) do
+    local is_nobodys = not is_chosen[frame] and not (first and frame.number > first.start)
+    if is_nobodys and is_repeated(own, i) then
       local verdict = self.verdicts[frame.number]
       verdict.anomalies[#verdict.anomalies + 1] = "fragment.duplicate"
       verdict.in_number = chosen[#chosen].number
-    else
+    elseif is_nobodys then
       is_stranger = true
     end
   end
   if is_stranger then anomalies[#anomalies + 1] = "fragment.orphan" end
-  open.frames = rest
+  open.frames = remove(open.frames, chosen)
   return message
 end
 
@@ -186,8 +193,9 @@ local function take_start(self, slot, frame, id, say)
   if not (frame.accepts_all or is_plausible) then return end
   self.accepted[id.id] = true
   local open, anomalies, is_message = self.open[slot], {}, reserved and size > 0
-  while open and open.messages[1] and (not is_message or open.is_truncated or #open.messages == 4 or
-    open.messages[1].is_overtaken or open.messages[1].is_copy) do
+  local is_late = open and self.time - open.time >= 0.02
+  while open and open.messages[1] and (not is_message or is_late or open.is_truncated or
+    #open.messages == 4 or open.messages[1].is_overtaken or open.messages[1].is_copy) do
     give_up_oldest(open, anomalies)
   end
   if open and not open.messages[1] then open = nil end
@@ -201,27 +209,27 @@ local function take_start(self, slot, frame, id, say)
   end
   say(frame.number, is_message and "." or "start", unpack(anomalies))
   if not is_message then return end
-  if open then open.has_others = true end
-  self.open[slot] = open or { has_others = false, messages = {}, frames = {}, is_truncated = false, is_unsure = false }
-  local messages = self.open[slot].messages
+  open = open or { messages = {}, frames = {}, is_truncated = false, is_unsure = false }
+  self.open[slot], open.time = open, self.time
+  local messages = open.messages
   local before = messages[#messages]
   local message = { id = id.id, seq = id.seq, ctl = id.ctl,
     crc = number(data, 1, 4), size = size, reserved = reserved, start = frame.number, time = self.time,
-    has_frames = false }
-  if before and not before.has_frames and before.crc == message.crc and before.size == size and
+    has_others = messages[1] ~= nil }
+  for _, other in ipairs(messages) do other.has_others = true end
+  if before and #frames_since(open, before) == 0 and before.crc == message.crc and before.size == size and
     math.abs(before.time - self.time) < 0.02 then
     before.twin, message.twin = message, before
   end
   table.insert(messages, message)
 end
 
--- Whether an End came twice: the message before it ended like that.
+-- Whether an End came twice: the payload before it ends like that.
 local function is_repeated_end(self, slot, frame, id)
   local last = id.ctrl == 3 and self.ended[slot]
   if not last or math.abs(self.time - last.time) >= 0.02 then return false end
   local length = frame.reported - last.padding
-  return length > 0 and frame.data:sub(1, length) == last.data:sub(1, length) and
-    length == #last.data - last.padding
+  return length > 0 and frame.data:sub(1, length) == last.payload:sub(-length)
 end
 
 local function take_fragment(self, slot, frame, id, say)
@@ -233,13 +241,13 @@ local function take_fragment(self, slot, frame, id, say)
     end
     return
   end
-  local frames, messages, is_end = open.frames, open.messages, id.ctrl == 3
-  local before, newest = frames[#frames], messages[#messages]
-  newest.time, newest.has_frames = self.time, true
-  frames[#frames + 1] = { number = frame.number, data = frame.data, reported = frame.reported,
-    is_end = is_end, is_repeated = before ~= nil and before.data == frame.data }
+  local messages, is_end = open.messages, id.ctrl == 3
+  local newest = messages[#messages]
+  open.time = self.time
   open.is_truncated = open.is_truncated or #frame.data < frame.reported
   while open.is_truncated and messages[2] do give_up_oldest(open, anomalies) end
+  table.insert(open.frames, { number = frame.number, data = frame.data, reported = frame.reported,
+    is_end = is_end })
   local what = "."
   if is_end then
     -- A single message whose bytes add up is what it is.
@@ -253,28 +261,28 @@ local function take_fragment(self, slot, frame, id, say)
       open.is_unsure = open.is_unsure or self.tries > MAX_TRIES
     end
     try(#messages, false) -- all frames since the newest Start
-    for i = 1, open.has_others and #messages or 0 do try(i, true) end
+    for i, message in ipairs(messages) do
+      if message.has_others then try(i, true) end
+    end
     local ends = 0
-    for _, one in ipairs(open.frames) do ends = ends + (one.is_end and 1 or 0) end
+    for _, one in ipairs(frames_since(open, messages[1])) do ends = ends + (one.is_end and 1 or 0) end
     if chosen then
       what = "good"
       local message = remove_good(self, open, index, chosen, anomalies)
       show(self.verdicts, message, chosen, zeros)
+      self.payload = payload_of(message, chosen)
     elseif ends >= #messages then
       while messages[2] do give_up_oldest(open, anomalies) end
+      self.payload = payload_of(newest, frames_since(open, newest))
       what = end_newest(self, open, anomalies)
       open.messages = {}
     end
     if what == "good" then
-      self.ended[slot] = { data = frame.data, time = self.time,
+      self.ended[slot] = { payload = self.payload, time = self.time,
         padding = self.verdicts[frame.number].padding }
     end
-  else
-    local limit = 4096
-    for _, message in ipairs(messages) do limit = limit + message.size end
-    if bytes_of(open.frames) > limit then
-      while messages[1] do give_up_oldest(open, anomalies) end
-    end
+  elseif bytes_of(frames_since(open, newest)) > newest.size + 4096 then
+    while messages[1] do give_up_oldest(open, anomalies) end
   end
   if not open.messages[1] then self.open[slot] = nil end
   self.verdicts[frame.number].is_unsure = open.is_unsure
@@ -283,7 +291,7 @@ end
 
 --- What each frame is.
 -- frames   list of { can_id =, data = captured bytes, reported = length, bus =, accepts_all =,
---          number = from 1 on, time = seconds, its number if left out }; can_id is nil of one that is
+--          number = from 1 on, time = seconds, its number in ms if left out }; can_id is nil of one that is
 --          no extended data frame
 -- known    { [message ID] = size }; KNOWN if left out
 -- returns  list of { what = in the words of can_words, anomalies = list, text = of both; in_number =
@@ -299,7 +307,7 @@ function M.verdicts(frames, known)
   end
   for at, frame in ipairs(frames) do
     verdicts[at] = { what = "-", anomalies = {}, is_unsure = false }
-    self.time = frame.time or frame.number
+    self.time = frame.time or frame.number / 1000
     local rest = frame.can_id or 0
     local id = { seq = rest % 256, ctl = math.floor(rest / 256) % 64,
       ctrl = math.floor(rest / 2 ^ 14) % 16, id = math.floor(rest / 2 ^ 18) }

@@ -27,15 +27,13 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local KIND = { L = 0, S = 1, M = 2, E = 3, X = 9 }
 
 --- The reassembly of a capture with the messages of KNOWN, and its sources.
--- options  { min_size = of all known messages; max_open = messages }
+-- options  { min_size = of all known messages }
 function M.new(options)
   options = options or {}
   local sources = {}
   local capture = { is_time_real = function() return not options.is_untimed end }
-  local made = reassembly.new(capture, function() end)
-  made.max_open = options.max_open or made.max_open
   return {
-    reassembly = made,
+    reassembly = reassembly.new(capture, function() end),
     source_of = function(id, bus)
       local key = id + (bus or -1) * 0x800
       sources[key] = sources[key] or
@@ -77,7 +75,7 @@ local OTHER = { "start", "orphan", "orphan" } -- by CAN CTRL
 function M.visit(known, frame, visited)
   local fields, bus = can_id.fields[frame.can_id], frame.bus or false
   local record = { key = frame.number * frame_key.PACKET + (frame.offset or 8), can_id = fields,
-    time = frame.time or frame.number, slot = fields.message_key + (frame.bus or 0) * can_id.BUS,
+    time = frame.time or frame.number / 1000, slot = fields.message_key + (frame.bus or 0) * can_id.BUS,
     source = known.source_of(fields.id, bus), bus = bus,
     data = frame.data, reported = frame.reported or #frame.data,
     accepts_all = frame.accepts_all or false, is_only_pass = frame.is_only_pass or false }
@@ -132,7 +130,7 @@ end
 
 --- The frames that words mean, numbered from 1 on.
 -- options  ids = { [sender] = { id, ctl, seq } }, accepts_all, buses (true: each sender has a bus of
---          its own, which the capture tells), gap = seconds between frames, 1 if left out
+--          its own, which the capture tells), gap = seconds between frames, 1 ms if left out
 function M.frames(text, options)
   local senders, list, ids = {}, {}, options.ids or {}
   for word in text:gmatch("%S+") do
@@ -144,7 +142,7 @@ function M.frames(text, options)
     data = data:sub(1, length) .. ("\0"):rep(length - #data)
     local captured = marks:match("~(%d+)")
     list[#list + 1] = { can_id = M.can_id(id[1], KIND[kind], id[2], id[3]), number = #list + 1,
-      reported = length, time = #list * (options.gap or 1),
+      reported = length, time = #list * (options.gap or 1e-3),
       data = captured and data:sub(1, captured) or data, accepts_all = options.accepts_all,
       bus = options.buses and ("_" .. name):byte(-1) or nil }
   end

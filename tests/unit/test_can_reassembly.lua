@@ -648,20 +648,6 @@ function T.test_a_message_that_never_ends()
   lu.assertEquals({ losses, #known.reassembly:unfinished() }, { 1, 0 })
 end
 
--- A flood of Starts: all that is open is given up, and said.
-function T.test_a_flood_of_starts()
-  local known, said = words.new { max_open = 33 }, {}
-  for id = 1, 100 do
-    local _, found = words.visit(known, { can_id = words.can_id(id, 1), data = words.start(id, ("x"):rep(99)),
-      number = id, bus = 1, accepts_all = true })
-    for _, anomaly in ipairs(found.anomalies) do
-      if anomaly.expert ~= "size.mismatch" then said[#said + 1] = anomaly.text end
-    end
-  end
-  local text = "33 messages are open: all of them are given up"
-  lu.assertEquals(said, { text, text, text })
-end
-
 -- Where no frame is dissected again nothing is kept; what is open is reassembled as ever, and of what
 -- is not good is said what is wrong.
 function T.test_the_only_pass_keeps_nothing()

@@ -2,15 +2,21 @@
 -- Reassembly: finds the CAN frames of YAPP, and makes messages of their Start, Middle and End
 -- fragments ("Multi-Frame CAN YAPP").  Pure Lua.
 --
--- A slot is ID, CTL and Seq on one bus: usually one message at a time is open there, else
--- can.interleaved has several.  A message is reported once, by the frame that decides it.  Its
--- record is
---   1 .. n     frame keys of its fragments (base.frame_key)
+-- A slot is ID, CTL and Seq on one bus: usually one message at a time is open there.  Another Start
+-- may come while it is open: it lost its End, the recorder holds the Start twice, or the frames are
+-- of two buses that nothing tells apart.  Then each open message gets the frames behind its Start,
+-- and at an End can.search decides.  It also finds frames that came twice.
+--
+-- A message is reported once, by the frame that decides it.  Its record is
+--   1 .. n     frame keys of its fragments (base.frame_key); while it is open, of those that it may
+--              have
 --   slot, source; time = of its latest frame
 --   size, crc, reserved (nil for 0)  as its Start says
---   chunks     while it alone is open in its slot: the bytes of the fragments behind the Start, up
---              to the first that the capture truncated; received = number of bytes on the bus;
---              is_truncated
+--   chunks     while it is open: the bytes of the fragments behind the Start, up to the first that
+--              the capture truncated; received = number of bytes on the bus; is_truncated;
+--              may_skip = true if there was another message; ends = { [frame key] = true } of the
+--              Ends that fit none
+--   older      the message of the slot that was open before it, or nil
 --   status     nil while it is open; then "good", "bad" (CRC), "incomplete", "overrun" or
 --              "truncated" (by the capture)
 --   payload    once its last fragment has come
@@ -19,18 +25,17 @@
 --   has_fault  see mark_fault
 --   twin       the message whose Start is the same and came next to this one's; is_copy = true once
 --              the twin has ended
---   is_overtaken  see can.interleaved
+--   is_overtaken  true if a message with a later Start has ended
 
 local can_id = require "yapp.wire.can_id"
 local frame_key = require "yapp.base.frame_key"
-local interleaved = require "yapp.can.interleaved"
+local search = require "yapp.can.search"
 
 local M = {}
 
 local concat = table.concat
 local END = can_id.END
 
-local MAX_OPEN = 1024 -- an open message costs memory until something ends it
 local MAX_IN_SLOT = 4 -- open messages of one slot
 local MAX_WASTE = 4096 -- bytes behind the size of a message that does not end
 local MAX_DISTANCE = 0.02 -- seconds between a frame and its copy, as of reading.copies
@@ -39,11 +44,10 @@ local LOSSES = { -- by status
   incomplete = "The message that started in frame %d is incomplete: %d of %d bytes came",
   overrun = "The message that started in frame %d has %d bytes instead of %d",
 }
-local DUPLICATE = {
+local DUPLICATES = { {
   expert = "fragment.duplicate",
   text = "Duplicate of a fragment before it: the CRC is good without it",
-}
-local DUPLICATES = { DUPLICATE }
+} }
 
 local Reassembly = {}
 Reassembly.__index = Reassembly
@@ -55,14 +59,13 @@ function M.new(capture, on_unknown)
   return setmetatable({
     capture = capture,
     on_unknown = on_unknown,
-    max_open = MAX_OPEN, -- slots that may be open at once
-    open = {}, -- [slot] = the message that is open there, or can.interleaved of several
-    open_count = 0,
+    open = {}, -- [slot] = the newest message that is open there
     ended = {}, -- [slot] = the good message that ended there last
     accepted = {}, -- [message ID] = true once a Start of it was accepted
     -- For revisits, by frame key.  If a read filter (-R) drops a packet, the next one gets its
     -- number, and the later one wins.
-    transfers = {}, -- the message of a fragment; false if it turned out to be of none
+    transfers = {}, -- the message of a fragment, as it seems while several are open; false if it
+    -- is of none
     kept_anomalies = {},
     -- Of the newest frame:
     anomalies = false,
@@ -70,7 +73,7 @@ function M.new(capture, on_unknown)
   }, Reassembly)
 end
 
--- Losses -----------------------------------------------------------------------------------------
+-- The end of a message ---------------------------------------------------------------------------
 
 -- Add an anomaly of the newest frame: { expert = name of an expert item, text }.
 -- text, ...  as for string.format
@@ -79,196 +82,203 @@ local function add_anomaly(self, expert, text, ...)
   table.insert(self.anomalies, { expert = expert, text = text:format(...) })
 end
 
--- A message ends.  If a recorder holds its Start twice, the other one may be lost without a word.
-local function mark_twin(message)
+-- End a message with a status.  If a recorder holds its Start twice, the other one may be lost
+-- without a word.
+local function close(message, status)
+  message.status, message.chunks, message.older = status, nil, nil
   if message.twin then message.twin.is_copy = true end
 end
 
 -- End a message that has more or fewer bytes than its size, or no End.
-local function lose(self, message, received)
-  mark_twin(message)
+local function lose(self, message)
+  local received = message.chunks.received
   local status = received > message.size and "overrun" or "incomplete"
-  message.status, message.chunks, message.received = status, nil, received
+  close(message, status)
+  message.received = received
   if message.is_copy then return end
   local number = frame_key.number(message[1])
   add_anomaly(self, "fragment." .. status, LOSSES[status], number, received, message.size)
 end
 
-local function close(self, slot)
-  self.open[slot], self.open_count = nil, self.open_count - 1
-end
-
--- Give up all open messages: too many Starts came without their Ends.
-local function give_up_all(self)
-  local text = "%d messages are open: all of them are given up"
-  add_anomaly(self, "fragment.incomplete", text, self.open_count)
-  for _, open in pairs(self.open) do
-    for _, message in ipairs(open.messages or { open }) do
-      message.status, message.chunks = "incomplete", nil
-    end
-  end
-  self.open, self.open_count = {}, 0
-end
-
--- Good and damaged messages ----------------------------------------------------------------------
-
--- End a message that has all its bytes.
--- fields     of its CAN ids (wire.can_id)
--- padding    how many of the payload's bytes are CAN FD padding
--- truncated  true if the capture truncated it; else the CRC decides
-local function finish(self, message, fields, payload, padding, truncated)
-  if padding > 0 then
-    message.padding, payload = padding, payload:sub(1, message.size)
-  end
-  message.payload, message.chunks = payload, nil
-  if truncated then
-    message.status = "truncated"
-    return
-  end
-  local calculated = can_id.crc(fields, payload, message.reserved)
-  if calculated == message.crc then
-    message.status = "good"
-    self.ended[message.slot] = message
-  else
-    message.status, message.calculated = "bad", calculated
-  end
-end
-
--- End the open message of a slot with its last frame.
+-- End a message with its last frame.
+-- padding  bytes of CAN FD padding; nil if the message has more or fewer bytes than its size
 local function end_message(self, message, frame, padding)
   local chunks = message.chunks
-  close(self, frame.slot)
-  message.time = frame.time
-  if padding then
-    finish(self, message, frame.can_id, concat(chunks), padding, chunks.is_truncated)
+  local payload = concat(chunks)
+  message.time, message.payload = frame.time, payload
+  if not padding then
+    lose(self, message)
+    return "last", message
+  end
+  if padding > 0 then
+    payload = payload:sub(1, message.size)
+    message.padding, message.payload = padding, payload
+  end
+  if chunks.is_truncated then
+    close(message, "truncated")
+    return "last", message
+  end
+  local calculated = can_id.crc(frame.can_id, payload, message.reserved)
+  if calculated == message.crc then
+    close(message, "good")
+    self.ended[message.slot] = message
   else
-    message.payload = concat(chunks)
-    lose(self, message, chunks.received)
+    close(message, "bad")
+    message.calculated = calculated
   end
   return "last", message
 end
 
--- Messages that are open at the same time --------------------------------------------------------
+-- Several open messages of a slot ----------------------------------------------------------------
+
+-- Return the open messages of a slot, the oldest first.
+local function list_open(newest)
+  local list = {}
+  while newest do
+    table.insert(list, 1, newest)
+    newest = newest.older
+  end
+  return list
+end
+
+-- Let these be the open messages of a slot.
+local function set_open(self, slot, list)
+  for i, message in ipairs(list) do message.older = list[i - 1] end
+  self.open[slot] = list[#list]
+end
+
+-- The frames of a newer message are the last ones of an older one.  So a frame has the same
+-- distance from the end in each, 0 for the newest.
+
+-- Take frames out of an open message.
+-- is_removed  by distance
+local function remove_frames(message, is_removed)
+  local chunks, last, count = message.chunks, #message, 1
+  for i = 2, last do
+    local key, data = message[i], chunks[i - 1]
+    message[i], chunks[i - 1] = nil, nil
+    if is_removed[last - i] then
+      chunks.received = chunks.received - #data
+    else
+      count = count + 1
+      message[count], chunks[count - 1] = key, data
+    end
+  end
+end
+
+-- Give up open messages until so many are left.  A message has the frames before the next Start.
+-- list  the oldest first
+local function give_up(self, list, count)
+  while #list > count do
+    local message, newer = table.remove(list, 1), list[1]
+    if newer then
+      message.chunks.received = message.chunks.received - newer.chunks.received
+      for i = #message, #message - #newer + 2, -1 do message[i] = nil end
+      newer.older = nil
+    end
+    lose(self, message)
+  end
+end
+
+-- Return the newest message that may have a frame, false for none.
+local function heir_of(list, distance)
+  for i = #list, 1, -1 do
+    if #list[i] - 1 > distance then return list[i] end
+  end
+  return false
+end
+
+-- Leave the other frames of a good message to the messages that are open.  Report those that none
+-- can have: frames that came twice, or strangers.
+-- is_taken  by distance: its frames
+-- returns   the others, by distance
+local function leave_rest(self, message, is_taken, list)
+  local chunks, rest, strangers, transfers = message.chunks, {}, {}, self.transfers
+  for i = 2, #message do
+    local distance, key, owner = #message - i, message[i], message
+    if not is_taken[distance] then
+      rest[distance], owner = true, heir_of(list, distance)
+      if not owner and chunks[i - 1] == chunks[i - 2] then
+        owner = message
+        if self.keeps then self.kept_anomalies[key] = DUPLICATES end
+      elseif not owner then
+        strangers[#strangers + 1] = key
+      end
+    end
+    if transfers[key] ~= nil then transfers[key] = owner end
+  end
+  if strangers[1] then
+    local text = "Fragments of no message: %d, the first in frame %d"
+    add_anomaly(self, "fragment.orphan", text, #strangers, frame_key.number(strangers[1]))
+  end
+  return rest
+end
+
+-- End a message that the CRC found.
+-- list, index  the open messages, the oldest first, and which of them it is
+-- taken, padding  of can.search
+local function complete(self, list, index, taken, padding, frame)
+  local message, is_taken = table.remove(list, index), {}
+  for _, i in ipairs(taken) do is_taken[#message - 1 - i] = true end
+  remove_frames(message, leave_rest(self, message, is_taken, list))
+  for i, other in ipairs(list) do
+    other.is_overtaken = other.is_overtaken or i < index
+    remove_frames(other, is_taken)
+  end
+  set_open(self, frame.slot, list)
+  return end_message(self, message, frame, padding)
+end
+
+-- Decide which message an End completes: the newest one with all frames since its Start, else the
+-- oldest one that has a good CRC.  It overtakes those with an earlier Start.
+local function decide(self, newest, frame, padding)
+  local list, fields = list_open(newest), frame.can_id
+  local index, taken, zeros = #list, search(newest, fields, false)
+  for i, message in ipairs(list) do
+    if not taken and message.chunks.may_skip then
+      index, taken, zeros = i, search(message, fields, true)
+    end
+  end
+  if taken then return complete(self, list, index, taken, zeros, frame) end
+  local ends, count = list[1].chunks.ends or {}, 1
+  for _, key in ipairs(list[1]) do count = count + (ends[key] and 1 or 0) end
+  if count >= #list then -- no other End is to come
+    give_up(self, list, 1)
+    self.open[frame.slot] = nil
+    return end_message(self, newest, frame, padding)
+  end
+  ends[frame.key] = true
+  for _, message in ipairs(list) do message.chunks.ends = ends end
+  return "fragment", newest
+end
+
+-- Starts -----------------------------------------------------------------------------------------
 
 -- Return whether a frame came so soon before or after another one that it may be its copy.
 local function is_near(self, time, other_time)
   return math.abs(time - other_time) < MAX_DISTANCE and self.capture:is_time_real(time)
 end
 
--- Assign frames of a group to a message.  Until then, they seemed to be of the newest one when they
--- came.
-local function assign_frames(self, message, frames)
-  local transfers = self.transfers
-  for i = #message, 2, -1 do
-    if transfers[message[i]] == message then transfers[message[i]] = false end
-    message[i] = nil
-  end
-  for i, frame in ipairs(frames) do
-    local key = frame.key
-    local seeming = transfers[key] -- of another slot, if a read filter dropped this frame
-    local is_open = seeming and not seeming.status and seeming.slot == message.slot
-    message[i + 1] = key
-    if seeming == false or is_open then transfers[key] = message end
-  end
-end
-
-local function give_up_oldest(self, group)
-  local message, frames, received = group:remove_oldest()
-  assign_frames(self, message, frames)
-  lose(self, message, received)
-end
-
--- Make the newest message of a group the only one of its slot: it gets all frames since its Start.
-local function reopen_newest(self, group, slot)
-  while group.messages[2] do give_up_oldest(self, group) end
-  local message, frames, received = group:remove_oldest()
-  assign_frames(self, message, frames)
-  message.chunks = { received = received }
-  for i, frame in ipairs(frames) do message.chunks[i] = frame.data end
-  self.open[slot] = message
-  return message
-end
-
--- Report the frames that no message can have any more: frames that came twice, or strangers.
--- message  the good message among whose frames they came
-local function report_rest(self, frames, message)
-  local strangers = {}
-  for _, frame in ipairs(frames) do
-    if not frame.is_repeated then
-      strangers[#strangers + 1] = frame
-    elseif self.keeps then
-      self.transfers[frame.key], self.kept_anomalies[frame.key] = message, DUPLICATES
-    end
-  end
-  if not strangers[1] then return end
-  local text = "Fragments of no message: %d, the first in frame %d"
-  add_anomaly(self, "fragment.orphan", text, #strangers, frame_key.number(strangers[1].key))
-end
-
--- End the message that an End completes.
--- returns  it; nil for none
-local function complete(self, group, frame)
-  local message, frames, padding, rest = group:complete()
-  if not message then return nil end
-  local chunks = {}
-  for i, one in ipairs(frames) do chunks[i] = one.data end
-  assign_frames(self, message, frames)
-  mark_twin(message)
-  message.time = frame.time
-  finish(self, message, frame.can_id, concat(chunks), padding, false)
-  report_rest(self, rest, message)
-  if not group.messages[1] then close(self, frame.slot) end
-  return message
-end
-
--- Read a Middle or End of a slot in which several messages are open.
-local function add_interleaved(self, group, frame)
-  local data, is_end = frame.data, frame.can_id.ctrl == END
-  if #data < frame.reported then -- the CRC cannot decide any more
-    reopen_newest(self, group, frame.slot)
-    return self:add_fragment(frame)
-  end
-  local newest = group.messages[#group.messages]
-  newest[#newest + 1], newest.time = frame.key, frame.time -- as it seems
-  group:add_frame(frame.key, data, is_end)
-  if is_end then
-    local message = complete(self, group, frame)
-    if message then return "last", message end
-    if group.end_count >= #group.messages then -- no other End is to come
-      message = reopen_newest(self, group, frame.slot)
-      local needed = #data + message.size - message.chunks.received
-      return end_message(self, message, frame, can_id.padding(data, #data, needed))
-    end
-  elseif group:is_full() then
-    while group.messages[1] do give_up_oldest(self, group) end
-    close(self, frame.slot)
-  end
-  return "fragment", newest
-end
-
--- Make room in a slot for the message of a new Start.
+-- Give up the open messages of a slot that a new Start ends.  The fragments of a message come one
+-- after the other, so a message that has waited is over.
 -- has_message  false for a Start that has none: then nothing stays open
--- returns      the group of the messages that stay open; nil if none does
-local function make_room(self, open, frame, has_message)
-  local chunks = open.chunks
-  if chunks and chunks.is_truncated then
-    lose(self, open, chunks.received)
-    return close(self, frame.slot)
-  end
-  local group = chunks and interleaved.new(frame.can_id, open, true) or open
-  local messages = group.messages
-  while messages[1] do
-    local oldest = messages[1]
-    local may_stay = has_message and not (oldest.is_overtaken or oldest.is_copy)
-    if may_stay and #messages < MAX_IN_SLOT then break end
-    give_up_oldest(self, group)
-  end
-  if not messages[1] then return close(self, frame.slot) end
-  self.open[frame.slot] = group
-  return group
+local function make_room(self, newest, frame, has_message)
+  local list, time = list_open(newest), frame.time
+  local is_late = time - newest.time >= MAX_DISTANCE and self.capture:is_time_real(time)
+  local is_over = is_late or not has_message or newest.chunks.is_truncated
+  give_up(self, list, is_over and 0 or MAX_IN_SLOT - 1)
+  while list[1] and (list[1].is_overtaken or list[1].is_copy) do give_up(self, list, #list - 1) end
+  set_open(self, frame.slot, list)
 end
 
--- Starts -----------------------------------------------------------------------------------------
+-- Open a message beside others.
+local function add_beside(self, older, message)
+  message.older, message.chunks.may_skip, older.chunks.may_skip = older, true, true
+  local is_same = older.crc == message.crc and older.size == message.size
+  if #older == 1 and is_same and is_near(self, message.time, older.time) then
+    older.twin, message.twin = message, older -- a recorder holds their Start twice
+  end
+end
 
 -- Add the anomalies of a Start's captured bytes.
 local function check_start(self, frame, size, reserved)
@@ -301,22 +311,14 @@ local function is_plausible(self, frame, size, reserved)
   return is_known or fields.seq == 0 or self.accepted[fields.id]
 end
 
--- Make two messages twins if a recorder holds their Start twice: the second one came next.
-local function add_twin(self, before, message)
-  local is_same = before.crc == message.crc and before.size == message.size
-  if #before == 1 and is_same and is_near(self, message.time, before.time) then
-    before.twin, message.twin = message, before
-  end
-end
-
 local function add_start(self, frame)
   local sum, size, reserved = can_id.start(frame.data)
   if not is_plausible(self, frame, size, reserved) then return nil end
   local slot, fields = frame.slot, frame.can_id
   self.accepted[fields.id] = true
   if not frame.source.size then self.on_unknown(fields.id, fields.seq) end
-  local open, has_message = self.open[slot], reserved and size > 0
-  local group = open and make_room(self, open, frame, has_message)
+  local has_message = reserved and size > 0
+  if self.open[slot] then make_room(self, self.open[slot], frame, has_message) end
   check_start(self, frame, size, reserved)
   if not has_message then return "other" end
   local message = {
@@ -326,18 +328,13 @@ local function add_start(self, frame)
     time = frame.time,
     size = size,
     crc = sum,
-    chunks = not group and { nil, nil, nil, nil, received = 0, is_truncated = false } or nil,
+    chunks = { nil, nil, nil, nil, received = 0, is_truncated = false },
     status = nil,
     payload = nil,
   }
   if reserved ~= 0 then message.reserved = reserved end
-  if group then
-    add_twin(self, group.messages[#group.messages], message)
-    table.insert(group.messages, message)
-    return "fragment", message
-  end
-  if self.open_count >= self.max_open then give_up_all(self) end
-  self.open[slot], self.open_count = message, self.open_count + 1
+  if self.open[slot] then add_beside(self, self.open[slot], message) end
+  self.open[slot] = message
   return "fragment", message
 end
 
@@ -364,33 +361,35 @@ local function add_orphan(self, frame)
   return "other"
 end
 
---- Add a Middle or End.
--- returns  as Reassembly:add
-function Reassembly:add_fragment(frame)
-  local message = self.open[frame.slot]
-  if not message then return add_orphan(self, frame) end
-  local chunks = message.chunks
-  if not chunks then return add_interleaved(self, message, frame) end
-  local data, reported, size, padding = frame.data, frame.reported, message.size, nil
-  local received, is_end = chunks.received + reported, frame.can_id.ctrl == END
-  local was_truncated, index = chunks.is_truncated, #message
-  if #data < reported then chunks.is_truncated = true end
-  if is_end then
-    padding = can_id.padding(data, reported, size - chunks.received)
-    if not padding and received > size and not chunks.is_truncated then
-      return add_interleaved(self, interleaved.new(frame.can_id, message, false), frame)
-    end
+-- Add a Middle or End.
+local function add_fragment(self, frame)
+  local slot, data, reported = frame.slot, frame.data, frame.reported
+  local newest, is_whole = self.open[slot], #data == reported
+  if not newest then return add_orphan(self, frame) end
+  if newest.older and not is_whole then -- the CRC cannot decide any more
+    give_up(self, list_open(newest), 1)
   end
-  message[index + 1] = frame.key
-  message.time = frame.time
-  chunks.received = received
-  if not was_truncated then chunks[index] = data end
-  if is_end then return end_message(self, message, frame, padding) end
-  if received > size + MAX_WASTE then
-    close(self, frame.slot)
-    lose(self, message, received)
+  local message = newest
+  repeat
+    local chunks, index = message.chunks, #message
+    message[index + 1], message.time = frame.key, frame.time
+    chunks.received = chunks.received + reported
+    if not chunks.is_truncated then chunks[index], chunks.is_truncated = data, not is_whole end
+    message = message.older
+  until not message
+  local size, chunks = newest.size, newest.chunks
+  local received = chunks.received
+  if frame.can_id.ctrl == END then
+    local padding = can_id.padding(data, reported, size - received + reported)
+    local is_excess = not padding and received > size and not chunks.is_truncated
+    if is_excess or newest.older then return decide(self, newest, frame, padding) end
+    self.open[slot] = nil
+    return end_message(self, newest, frame, padding)
+  elseif received > size + MAX_WASTE then
+    give_up(self, list_open(newest), 0)
+    self.open[slot] = nil
   end
-  return "fragment", message
+  return "fragment", newest
 end
 
 -- Other frames -----------------------------------------------------------------------------------
@@ -417,7 +416,7 @@ local function add_undefined(self, frame)
 end
 
 -- By CAN CTRL: (reassembly, frame) -> kind, message.
-local ADDERS = { [0] = add_single, add_start, Reassembly.add_fragment, Reassembly.add_fragment }
+local ADDERS = { [0] = add_single, add_start, add_fragment, add_fragment }
 for ctrl = #ADDERS + 1, 15 do ADDERS[ctrl] = add_undefined end
 
 -- Frames ------------------------------------------------------------------------------------------
@@ -436,7 +435,7 @@ function Reassembly:add(frame)
   if keeps then
     local transfers, kept = self.transfers, self.kept_anomalies
     if kind == "fragment" or kind == "last" then
-      transfers[key] = message
+      transfers[key] = message or false
     elseif transfers[key] ~= nil then -- of a packet that a read filter dropped
       transfers[key] = nil
     end
@@ -469,14 +468,17 @@ function Reassembly:recall(frame)
 end
 
 --- Return the messages that the capture ends before, in the order of their Starts: a list of
--- { message, is_lost = true if a later Start or an End came }.
+-- { message, key = frame key of its latest frame, is_lost = true if a later Start or an End came }.
 function Reassembly:unfinished()
   local list = {}
-  for _, open in pairs(self.open) do
-    local messages, has_end = open.messages or { open }, (open.end_count or 0) > 0
-    for i, message in ipairs(messages) do
-      local is_lost = i < #messages or message.is_overtaken or has_end
-      if not message.is_copy then list[#list + 1] = { message = message, is_lost = is_lost } end
+  for _, newest in pairs(self.open) do
+    local open, behind = newest, 0 -- frames of the next Start
+    while open do
+      local is_lost = open ~= newest or open.is_overtaken or open.chunks.ends ~= nil
+      if not open.is_copy then
+        list[#list + 1] = { message = open, key = open[#open - behind], is_lost = is_lost }
+      end
+      open, behind = open.older, #open - 1
     end
   end
   table.sort(list, function(a, b) return a.message[1] < b.message[1] end)

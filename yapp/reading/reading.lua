@@ -301,8 +301,7 @@ end
 local function finish_frames(self, list)
   for _, open in ipairs(self.reassembly:unfinished()) do
     local transfer, frame = open.message, records.new_can_frame()
-    local key = transfer[#transfer]
-    frame.key, frame.number, frame.time = key, number_of(key), transfer.time
+    frame.key, frame.number, frame.time = open.key, number_of(open.key), transfer.time
     frame.source, frame.seq = transfer.source, transfer.slot % 0x100
     frame.can_id = can_id.fields[transfer.slot % BUS]
     local result = records.new_result(open.is_lost and "other" or "unfinished", frame)
