@@ -89,7 +89,7 @@ def fd_frame(ident, data, brs, esi):
 
 
 def remote(ident, length):
-    return frame(ident, "00" * length, **{"can.flags.rtr": "1"})
+    return frame(ident, "", **{"can.flags.rtr": "1", "can.len": str(length)})
 
 
 def on_bus(number, one):

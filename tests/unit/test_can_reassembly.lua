@@ -102,6 +102,14 @@ function T.test_revisits_of_messages_that_interleave()
   lu.assertEquals({ text, found.message }, { "." })
 end
 
+-- The fragments of a message come one after the other: at a Start a tenth of a second behind them it
+-- is decided that an End is lost.
+function T.test_a_lost_end_shows_at_the_next_start()
+  local frames, known = words.frames("S32 M8 S32 M8 M8 M8 E8", { ids = MOTOR }), words.new()
+  for i = 3, #frames do frames[i].time = frames[i].time + 0.1 end
+  lu.assertEquals(words.visits(known, frames), ". . .+fragment.incomplete . . . good")
+end
+
 function T.test_texts_of_losses()
   local function texts(text)
     local list, known = {}, words.new()
@@ -352,7 +360,12 @@ local function compare_random(seed, change)
   local random, sure, all = stream_generator.random(seed), 0, 0
   for round = 1, levels.size(300, 3000) do
     local frames, known = random_can.frames(random), words.new()
-    for _, frame in ipairs(frames) do change(frame) end
+    local time = 0
+    for _, frame in ipairs(frames) do
+      time = time + (random(20) == 1 and 0.05 or 1e-3)
+      frame.time = time
+      change(frame)
+    end
     local verdicts, first, is_sure = oracle.verdicts(frames), {}, true
     for _, verdict in ipairs(verdicts) do is_sure = is_sure and not verdict.is_unsure end
     all = all + #frames

@@ -60,7 +60,7 @@ end
 -- Texts of other programs, none of which may be taken.
 local FOREIGN = {
   "\255\254" .. HEAD:rep(3):gsub(".", "%0\0"),
-  "", "\n\n\n", "hello\n", "\0\1\2\3", HEAD .. "\0", "\0003#11\n" .. HEAD:rep(3), ("\255"):rep(5000), ("x"):rep(100000),
+  "", "\n\n\n", "hello\n", "\0\1\2\3", "\0003#11\n" .. HEAD:rep(3), ("\255"):rep(5000), ("x"):rep(100000),
   "time,id,dlc,data\n0.1,123,8,11 22 33 44 55 66 77 88\n",
   "timestamp,arbitration_id,extended,remote,error,dlc,data\n1.2,0x123,0,0,0,2,ESI=\n",
   "date Tue Nov 14 10:13:20 pm 2023\nbase hex  timestamps absolute\nno internal events logged\n" ..
@@ -73,6 +73,13 @@ local FOREIGN = {
   "# Notes\n\nOn the bus we saw\n\n  can0  123   [1]  11\n\nwhich is odd. Then nothing\nhappened for a while.\n",
   "OTHER LOGGER 1.0\n" .. HEAD:rep(5), "No.     Time\n      1 0.000000 CAN 16 ID: 291\n",
 }
+
+-- Half of its lines are damaged.
+function T.test_a_damaged_log_is_taken()
+  local line = "(1700000000.000001) can0 123#11"
+  lu.assertNotNil((opened(line .. "\n" .. line .. "\n(17000000\n(1700000000.0000")))
+  lu.assertNil((opened(line .. "\n(17000000\n(1700000000.0000")))
+end
 
 function T.test_other_text_is_never_taken()
   for _, text in ipairs(FOREIGN) do

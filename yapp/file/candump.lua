@@ -30,11 +30,10 @@ local function new_record(bus, id)
   }
 end
 
--- Fill in a remote frame.
+-- Fill in a remote frame, which asks for so many bytes and has none.
 local function make_remote(record, length)
   record.id = record.id and record.id + text.REMOTE
   record.length = length
-  record.data = ("\0"):rep(length)
   return record
 end
 
@@ -297,7 +296,8 @@ function M.open(file, report)
   local head = file:read(HEAD) or ""
   if head:find("^[^\n]*\0") then return nil end -- no text; a log that was cut off may have some
   local found = text.survey(head, #head < HEAD, M.parse)
-  if #found.records <= #found.others or not may_begin(found) then return nil end
+  local count = #found.records
+  if count == 0 or count < #found.others or not may_begin(found) then return nil end
   local bus, has_deltas = found.records[1].bus, are_deltas(found.records)
   if bus and not has_deltas then
     local erase_plain = plain_eraser(bus)
