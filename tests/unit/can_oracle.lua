@@ -210,15 +210,15 @@ local function take_start(self, slot, frame, id, say)
   say(frame.number, is_message and "." or "start", unpack(anomalies))
   if not is_message then return end
   open = open or { messages = {}, frames = {}, is_truncated = false, is_unsure = false }
+  local is_near = open.time and self.time - open.time < 0.02
   self.open[slot], open.time = open, self.time
   local messages = open.messages
   local before = messages[#messages]
   local message = { id = id.id, seq = id.seq, ctl = id.ctl,
-    crc = number(data, 1, 4), size = size, reserved = reserved, start = frame.number, time = self.time,
-    has_others = messages[1] ~= nil }
+    crc = number(data, 1, 4), size = size, reserved = reserved, start = frame.number, has_others = messages[1] ~= nil }
   for _, other in ipairs(messages) do other.has_others = true end
-  if before and #frames_since(open, before) == 0 and before.crc == message.crc and before.size == size and
-    math.abs(before.time - self.time) < 0.02 then
+  local is_next = before and #frames_since(open, before) == 0
+  if is_next and before.crc == message.crc and before.size == size and is_near then
     before.twin, message.twin = message, before
   end
   table.insert(messages, message)
@@ -236,8 +236,8 @@ local function take_fragment(self, slot, frame, id, say)
   local open, anomalies = self.open[slot], {}
   if not open then
     if frame.accepts_all or id.ctl == 0 and self.known[id.id] then
-      local is_repeated = is_repeated_end(self, slot, frame, id)
-      say(frame.number, "orphan", is_repeated and "fragment.duplicate" or "fragment.orphan")
+      local came_twice = is_repeated_end(self, slot, frame, id)
+      say(frame.number, "orphan", came_twice and "fragment.duplicate" or "fragment.orphan")
     end
     return
   end
