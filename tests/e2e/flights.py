@@ -236,9 +236,9 @@ class Truth:
                 self.fault(sender, last, flag, "active", last.at - since)
             self.silence(sender, good[-1], self.flight.frames[-1].at)
         if sender.message and sender.message.alarms and sender.message.every and good:
-            times = [message.frames[-1].at for message in good]
-            between = times if len({message.seq for message in good}) == 1 else []
-            self.missing_by_period += fitting(between, sender) + fitting([times[-1], self.flight.frames[-1].at], sender)
+            if len({message.seq for message in good}) == 1:
+                self.missing_by_period += fitting(gaps_by_clock(sender, good), sender)
+            self.missing_by_period += fitting([self.flight.frames[-1].at - good[-1].frames[-1].at], sender)
         self.summary.append({**self.who(sender), "crc_bad": crc, "incomplete": lost, "late": counts["late"],
                              **rates(good), "values": ranges(sender, good),
                              **{column: self.count(sender, kind) for column, kind in COUNTS.items()}})
@@ -341,10 +341,18 @@ def missing_before(message, state, is_reboot):
     return 0 if is_reboot else max(ahead - 1, 0)
 
 
-def fitting(times, sender):
-    """How many messages fit between these: none into a gap of up to 1.5 periods."""
-    gaps = [(later - sooner) / (sender.message.every * SECOND) for sooner, later in zip(times, times[1:])]
-    return sum(int(gap - 0.5) for gap in gaps if gap > 1.5)
+def gaps_by_clock(sender, good):
+    """By the controller's clock, unless that was set."""
+    for before, after in zip(good, good[1:]):
+        length = after.frames[-1].at - before.frames[-1].at
+        advance = clock_of(sender, after.payload) - clock_of(sender, before.payload)
+        yield advance if 0 < advance <= length + SECOND else length
+
+
+def fitting(gaps, sender):
+    """How many messages fit into these: none into a gap of up to 1.5 periods."""
+    periods = [gap / (sender.message.every * SECOND) for gap in gaps]
+    return sum(int(gap - 0.5) for gap in periods if gap > 1.5)
 
 
 def rates(good):

@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What recorders do to time stamps: they give all packets the same one."""
+"""What recorders do to time stamps: they give all packets the same one, those of whole seconds, or those of packets that hold
+several messages; and somebody sets the recorder's clock."""
+import decimal
 import json
+import random
 import re
+import struct
 
 import pytest
 
 import flights
+import levels
+import stream_captures
 import tshark
 
 CASES = tshark.CAPTURES / "cases"
@@ -82,3 +88,145 @@ def test_a_recorder_for_each_message(folder, ahead):
     assert {json.loads(line)["kind"] for line in printed.splitlines()} == {"clock"}
     code, printed, _ = z(path, "check", *arguments)
     assert code == 20 and re.findall(r"(?m)^FAILED +(\S+)", printed) == ["clock=0"]
+
+
+# The clock is set forward ----------------------------------------------------------------------------------------------
+
+def events_of(path, *arguments, code=0):
+    done = tshark.run("-q", "-r", path, *arguments, "-z", "yapp,events,json", check=False)
+    assert done.returncode == code, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()], done.stderr
+
+
+@levels.by_version
+@pytest.mark.parametrize("passes", [[], ["-2"]], ids=["one pass", "two"])
+def test_clock_set_forward(passes):
+    """By five days, while a fault of one second is set."""
+    events, said = events_of(CASES / "clock_set_forward.log", *passes)
+    assert [row["kind"] for row in events] == ["fault", "fault", "clock", "fault", "fault"] and "hide" not in said
+    assert [row["active"] for row in events if row["kind"] == "fault"] == [None, None, 1.0, 1.0]
+    assert abs(events[2]["length"] - 432000) < 0.01
+    found = tshark.fields(CASES / "clock_set_forward.log", ["taurus.motor.fault.active_time", "yapp.time_delta"], *passes)
+    assert all(float(value) < 3 for row in found for value in row if value)
+
+
+@pytest.mark.parametrize("seed", range(levels.size(3, 20)))
+def test_a_clock_that_is_set_changes_no_length(folder, seed):
+    """A flight with faults, reboots and silences: its events are the same, but for a step of the clock."""
+    rng = random.Random(f"set {seed}")
+    flight = flights.make(seed, is_clean=seed % 3 == 0)
+    arguments, plain, path = flight.arguments("candump"), folder / "plain.log", folder / "set.log"
+    flight.write(plain, "candump")
+    ahead, lines = round(10 ** rng.uniform(1.1, 6)), plain.read_text().splitlines()
+    at = rng.randrange(len(lines) // 4, len(lines) * 3 // 4)
+    rows = [line[1:].split(")", 1) for line in lines]
+    path.write_text("".join(f"({decimal.Decimal(stamp) + (ahead if number >= at else 0)}){rest}\n"
+                            for number, (stamp, rest) in enumerate(rows)))
+
+    def read(capture, kinds):
+        rows, said = events_of(capture, *arguments, code=flight_code(capture, arguments))
+        times = ("time", "active", "length")
+        return [{key: row[key] for key in row if key not in times} for row in rows if row["kind"] not in kinds], \
+            [row[key] for row in rows for key in times[1:] if row.get(key) and row["kind"] not in kinds], \
+            [row["length"] for row in rows if row["kind"] == "clock"], said.replace("plain.log", "set.log")
+    expected, lengths, clocks, said = read(plain, ())
+    found, found_lengths, found_clocks, found_said = read(path, ("clock",))
+    assert found == expected and said == found_said and not clocks
+    assert len(lengths) == len(found_lengths) and all(abs(a - b) < 0.1 for a, b in zip(lengths, found_lengths))
+    assert len(found_clocks) == 1 and abs(found_clocks[0] - ahead) < 0.1
+
+
+def flight_code(path, arguments):
+    return tshark.run("-q", "-r", path, *arguments, "-z", "yapp,events", check=False).returncode
+
+
+MOTOR_IDS = ["-o", "yapp.motor_ids:0x210-0x213"]
+
+
+def controllers(count, seconds):
+    """The messages of controllers at 10 Hz, and Commands that repeat: (seconds, frame)."""
+    sent = [(number * 0.1 + 0.01, stream_captures.frame(0, bytes.fromhex("01A501FD7FD483"))) for number in range(seconds * 10)]
+    for controller in range(count):
+        for number in range(seconds * 10):
+            at = number * 0.1 + controller * 0.03
+            payload = struct.pack("<6HBBIIqBB", *[32765] * 6, 70, 1, 0x40010000, 0, round(at * 1e9), 2, 80)
+            sent.append((at, stream_captures.frame(0x210 + controller, payload, seq=number % 256)))
+    return sorted(sent)
+
+
+def write_packets(path, packets, link):
+    """Packets of (seconds, bytes)."""
+    made, sequence = [], 1000
+    for at, data in packets:
+        packet = stream_captures.Packet(data, stream_captures.Origin(stream_captures.ETHERNET, 0, 0))
+        packet.time, packet.sequence = stream_captures.EPOCH + round(at * 1e6), sequence
+        sequence += len(data)
+        made.append(packet)
+    stream_captures.Capture("", made, link, []).write(path)
+
+
+def test_a_gap_is_no_step_of_the_clock(folder):
+    """The recorder was away for 20 s: all were silent for it, who has a clock and who has none."""
+    for begin in (19.99, 20.005, 20.02):  # another message is the first behind it
+        packets = [row for row in controllers(2, 60) if not begin < row[0] < begin + 20]
+        write_packets(folder / "run.pcapng", packets, stream_captures.udp)
+        events, _ = events_of(folder / "run.pcapng", *MOTOR_IDS)
+        assert sorted((row["kind"], row["id"]) for row in events) == [("missing", 0x210), ("missing", 0x211)] + \
+            [("silence", ident) for ident in (0, 0x210, 0x211)]
+
+
+# Coarse stamps ---------------------------------------------------------------------------------------------------------
+
+COARSE = "time stamps are those of packets, or too coarse: how long faults, gaps and silences lasted is not known"
+ABOUT_TIME = ("silence", "stale", "jump")
+
+
+def assert_not_judged(path, *arguments, faults=()):
+    """Rules about time are not judged, all others hold; nothing is late, silent, missing or a copy; one line says why."""
+    rules = "check,json,crc=0,incomplete=0,missing=0,shared=0,reboot=0,clock=0,silence=0,stale=0,jump=0,copies=0,motor.rate=9..11"
+    code, printed, said = z(path, rules, *arguments)
+    rows = [json.loads(line) for line in printed.splitlines()]
+    assert code == 21 and rows, [row for row in rows if row["ok"] is False]
+    for row in rows:
+        kind = row["rule"].split("=")[0]
+        assert row["ok"] is (None if kind in (*ABOUT_TIME, "motor.rate") else True), row
+    assert said.count(COARSE) == 1 and "hide" not in said and "twice" not in said
+    events, _ = events_of(path, *arguments)
+    assert [(row["kind"], row["event"]) for row in events] == list(faults)
+
+
+@levels.by_version
+@pytest.mark.parametrize("passes", [[], ["-2"]], ids=["one pass", "two"])
+@pytest.mark.parametrize("name", ["udp_packed.pcap", "one_second_stamps.log"])
+def test_stamps_of_packets_and_of_whole_seconds(name, passes):
+    assert_not_judged(CASES / name, *passes, faults=[("fault", what) for what in ("raised", "raised", "cleared", "cleared")])
+
+
+def test_that_is_seen():
+    with pytest.raises(AssertionError):
+        assert_not_judged(CASES / "udp_named_by_address.pcap")
+
+
+@pytest.mark.parametrize("seed", range(levels.size(2, 12)))
+def test_flights_with_coarse_stamps(folder, seed):
+    """Of whole or of half seconds."""
+    rng = random.Random(f"coarse {seed}")
+    flight, path = flights.make(seed, True), folder / "run.log"
+    flight.write(path, "candump")
+    step = rng.choice([0.5, 1, 2])
+    lines = [line[1:].split(")", 1) for line in path.read_text().splitlines()]
+    path.write_text("".join(f"({float(stamp) // step * step:.6f}){rest}\n" for stamp, rest in lines))
+    assert_not_judged(path, *flight.arguments("candump"))
+
+
+@pytest.mark.parametrize("seed", range(levels.size(4, 24)))
+def test_messages_packed_into_packets(folder, seed):
+    """A bridge packs what came, in UDP and TCP: of two controllers, and Commands that repeat."""
+    rng = random.Random(f"packed {seed}")
+    sent, packets, most = controllers(rng.choice([1, 2]), 6), [], rng.choice([8, 20, 40])
+    while sent:
+        count = rng.randrange(1, most)
+        packets.append((sent[:count][-1][0], b"".join(data for _, data in sent[:count])))
+        sent = sent[count:]
+    write_packets(folder / "run.pcapng", packets, rng.choice([stream_captures.udp, stream_captures.tcp]))
+    assert_not_judged(folder / "run.pcapng", *MOTOR_IDS)

@@ -125,7 +125,7 @@ function T.test_what_follows_from_a_message()
   report_message(events, message { frame = 2, time = 1.5, change = { late = 0.5, reboot = 3, missing = 2 } })
   report_message(events, message { frame = 3, time = 2,
     change = { faults = { { fault = fault, is_raised = false }, set = {} } } })
-  events:finish(function() return 9 end)
+  events:finish(function() return 9 end, true)
   local texts = {}
   for i, event in ipairs(list) do
     texts[i] = ("%d %s %s"):format(event.frame, event.kind, event.values.event or event.values.count or "")

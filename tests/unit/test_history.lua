@@ -5,6 +5,7 @@ local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local history = require("yapp.message.history")
 local levels = require("levels")
+local stamps_of = require("yapp.capture.stamps")
 
 local T = {}
 
@@ -55,7 +56,7 @@ local function new(options)
   options = options or {}
   local function has_times() return not options.lacks_times, not options.lacks_times end
   return history.new { late = options.late or 2.5, catalogue = options.catalogue or TAURUS,
-    buses = { has_times = has_times } }
+    buses = { has_times = has_times, stamps = stamps_of.new() } }
 end
 
 -- What a list of messages gives in order, what is new and how things stand in one table, delta with it;
@@ -212,9 +213,9 @@ function T.test_a_jump_is_since_the_previous_clock()
 end
 
 function T.test_without_time_stamps_there_is_nothing_of_time()
-  local messages = clocks(0, 5, 0, 3605, 0, 3606, 0, 100, 50, 200) -- one packet of them has a time
+  local messages = clocks(0, 5, 0, 3605, 0, 3607, 0, 100, 50, 200) -- one packet of them has a time
   for key, expected in pairs { jump = { "-", "-", "-", "-", "-" }, drift = { "-", "-", "-", "-", "-" },
-    late = { "-", "-", "-", "-", "-" }, reboot = { "-", "-", "-", 3506, "-" }, delta = { "-", 0, 0, 0, 50 } } do
+    late = { "-", "-", "-", "-", "-" }, reboot = { "-", "-", "-", 3507, "-" }, delta = { "-", 0, 0, 0, 50 } } do
     lu.assertEquals(run(messages, key, { lacks_times = true }), expected, key)
   end
   lu.assertEquals(run(messages, "late")[5], 50) -- with times it is

@@ -2,6 +2,7 @@
 -- The whole reading of a capture: frames and packets in; results, and the events of statistics, out.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local stamps_of = require("yapp.capture.stamps")
 local can_id = require("yapp.wire.can_id")
 local catalogue_of = require("yapp.message.catalogue")
 local events_of = require("yapp.stat.events")
@@ -36,6 +37,7 @@ local function new_capture(with)
   local types, buses = types_of.new(TAURUS), {
     name = function(_, bus) return bus and "can" .. bus - 1 or nil end,
     has_times = function() return true, true end,
+    stamps = stamps_of.new(),
     is_time_real = function() return true end,
   }
   types:use(catalogue_of.assign(TAURUS, {}), (sources.parse("", TAURUS)), {}, function() end)

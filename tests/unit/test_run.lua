@@ -2,6 +2,7 @@
 -- A run over a capture: passes, filters, times, the end.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local stamps_of = require("yapp.capture.stamps")
 local kinds = require("yapp.stat.kinds")
 local events_of = require("yapp.stat.events")
 local run_of = require("yapp.stat.run")
@@ -20,7 +21,7 @@ local SETTINGS = { late = 2.5, ids = {}, sources_text = "", catalogue = { messag
   sources = { list = function() return {} end } }
 
 local function new_queue()
-  return run_of.new(SETTINGS)
+  return run_of.new(SETTINGS, stamps_of.new())
 end
 
 local function add(queue, statistic, filter, row)

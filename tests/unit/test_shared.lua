@@ -3,6 +3,7 @@
 -- once and is silent from there on.  It never says it of a source with one controller.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local stamps_of = require("yapp.capture.stamps")
 local catalogue = require("yapp.message.catalogue")
 local history = require("yapp.message.history")
 local levels = require("levels")
@@ -51,6 +52,7 @@ end
 local function new(options)
   options = options or {}
   local buses = {}
+  buses.stamps = stamps_of.new()
   function buses.has_times() return not options.lacks_times, not (options.lacks_times or options.lacks_clock) end
   return history.new { late = 2.5, catalogue = TAURUS, buses = buses }
 end

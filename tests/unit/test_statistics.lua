@@ -13,6 +13,7 @@ local options_of = require("yapp.stat.options")
 local run_of = require("yapp.stat.run")
 local sources_of = require("yapp.message.sources")
 local faults_of = require("yapp.message.faults")
+local stamps_of = require("yapp.capture.stamps")
 local text_of = require("yapp.message.text")
 
 local T = {}
@@ -87,7 +88,7 @@ local function add_faults(records)
     local change = one.values.change
     if change and change.flags then
       by_source[one.source] = by_source[one.source] or faults_of.new()
-      change.faults = by_source[one.source]:update(change.flags, { key = one.frame * 0x20000, time = one.time or 0 })
+      change.faults = by_source[one.source]:update(change.flags, one.frame * 0x20000, one.time or 0)
     end
   end
 end
@@ -107,7 +108,7 @@ end
 local function run(arguments, records, with)
   with = with or {}
   local settings = settings_of(with)
-  local printed, queue, matched = {}, run_of.new(settings, with.hint), {}
+  local printed, queue, matched = {}, run_of.new(settings, stamps_of.new(), with.hint), {}
   for _, argument in ipairs(arguments) do
     local options = options_of.parse("yapp," .. argument, settings.catalogue)
     if not argument:find("^check") then lu.assertEquals(options.problems, {}) end

@@ -24,7 +24,7 @@ local function new_tap(name, filter)
   return tap
 end
 
-local function new_queue(settings, hint)
+local function new_queue(settings, _, hint)
   local queue = { settings = settings, hint = hint, packets = 0, unread = 0 }
   seen.queue = queue
   function queue.packet(self, number, rel, has_clock)

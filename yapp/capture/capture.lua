@@ -9,6 +9,7 @@
 local command_line = require "yapp.capture.command_line"
 local ending = require "yapp.capture.ending"
 local fields_of = require "yapp.capture.fields"
+local stamps_of = require "yapp.capture.stamps"
 local file_readers = require "yapp.file.readers"
 local files = require "yapp.capture.file"
 
@@ -38,7 +39,8 @@ end
 
 --- Look at the head of each file from now on.  Call it once.
 function M.watch()
-  local self = setmetatable({ seen = files.read("", function() end) }, Capture)
+  local seen = files.read("", function() end)
+  local self = setmetatable({ seen = seen, stamps = stamps_of.new() }, Capture)
   -- Register a reader that opens no file: only a reader's read_open is shown the file.  Give both
   -- arguments a name, so that Lua keeps them: Wireshark writes into both when read_open is back.
   local handler = FileHandler.new("YAPP reads heads of files (opens none)", "yapp_head",
@@ -122,6 +124,7 @@ end
 function Capture:init()
   local found = self.seen
   self.found = found
+  self.stamps:reset()
   self.plain_bus = file_readers.log().plain_bus
   self.names = {} -- by bus, of a reader of ours
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree

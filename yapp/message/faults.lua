@@ -45,7 +45,7 @@ local function remove_fault(set, flag)
 end
 
 -- Add the steps of one field.
-local function update_field(self, change, message, steps)
+local function update_field(self, change, key, time, steps)
   local field, now = change.field, change.value
   local before = now - change.raised + change.cleared
   for _, flag in ipairs(fault_flags[field]) do
@@ -55,8 +55,8 @@ local function update_field(self, change, message, steps)
       fault = fault or {
         field = field.name,
         flag = flag,
-        key = message.key,
-        time = message.time,
+        key = key,
+        time = time,
         incident = self.incident,
       }
       if is_set then set[#set + 1] = fault end
@@ -76,24 +76,24 @@ end
 
 --- Update the faults with a message.
 -- changes  list of { field, value, raised = mask, cleared = mask }, see message.history
--- message  { key = frame key, time = seconds of the capture }
+-- key      frame key of the message; time = seconds of the capture
 -- returns  the steps, a list of { fault, is_raised = true if it rises or falls }, with set = list
 --          of the faults that are set behind the message; nil if no bit of a fault changes.
 --          A fault is one table from its rise to its fall: { field = name, flag,
 --            key, time  of the message in which it rose
 --            incident   a table for the time in which a fault is set without a break }
-function Faults:update(changes, message)
+function Faults:update(changes, key, time)
   local steps, keys = nil, self.keys
   -- An incident goes on if one field falls and another rises in the same message.
   if not self.set[1] then self.incident = {} end
   for _, change in ipairs(changes) do
     if band(change.raised + change.cleared, change.field.alarm_bits) ~= 0 then
       steps = steps or {}
-      update_field(self, change, message, steps)
+      update_field(self, change, key, time, steps)
     end
   end
   if not steps then return nil end
-  if keys[#keys] ~= message.key then keys[#keys + 1] = message.key end
+  if keys[#keys] ~= key then keys[#keys + 1] = key end
   self.since[#keys], steps.set = oldest_time(self.set), self.set
   return steps
 end
@@ -101,12 +101,12 @@ end
 --- Return the state at a message, whether the message changes it or not, three values: seconds
 -- since the oldest fault that is set rose, nil if the capture's clock went back behind that; the
 -- frame keys of the messages before and behind it that changed a fault.  Nil while none is set.
-function Faults:state(message)
-  local keys, key = self.keys, message.key
+function Faults:state(key, time)
+  local keys = self.keys
   local last = last_until(keys, key)
   local since, is_change = self.since[last], keys[last] == key
   if not (since or is_change) then return nil end
-  local active_time = since and message.time >= since and message.time - since or nil
+  local active_time = since and time >= since and time - since or nil
   return active_time, keys[is_change and last - 1 or last], keys[last + 1]
 end
 

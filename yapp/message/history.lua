@@ -40,10 +40,12 @@ History.__index = History
 --- Make the history of one pass over one capture.
 -- options  { catalogue = compiled,
 --            late = periods of a message that a gap must exceed to be late,
---            buses = a capture.capture, asked whether the capture has times and a clock }
+--            buses = a capture.capture, asked whether the capture has times and a clock; and its
+--            stamps, a capture.stamps }
 function M.new(options)
   local self = setmetatable({
     options = options,
+    stamps = options.buses.stamps,
     by_source = {}, -- [source] = see new_source
     commands = {}, -- [name of a message that others answer][bus or false] = frame keys, ascending
     -- For revisits, by the frame key of a message:
@@ -69,8 +71,9 @@ local function new_source(self, message)
     longest = has_times and options.late * (message_type.every or huge) + HALF_NANOSECOND or huge,
     has_times = has_times,
     has_clock = has_clock,
+    stamps = self.stamps,
     -- The previous good message:
-    time = nil, -- seconds of the capture
+    time = nil, -- seconds of the capture, as all times here: see Stamps:even
     seq = nil, -- the newest
     flags = {}, -- [index of a flags field] = raw value
     -- The previous good message with a clock:
@@ -143,8 +146,8 @@ end
 
 -- Return the seconds of the capture's clock since source.clock.  If it has none, trust the
 -- controller's clock unless that jumps: then take the message to come after a period.
-local function elapsed_since(source, message, advance)
-  if source.has_clock then return message.time - source.clock_time end
+local function elapsed_since(source, time, advance)
+  if source.has_clock then return time - source.clock_time end
   return advance > 0 and advance <= MAX_JUMP and advance or source.period
 end
 
@@ -156,9 +159,9 @@ local function did_both_go_back(source, advance, elapsed)
 end
 
 -- Return the change of the controller's clock: its name and its value; nil for nothing.
-local function clock_change(source, message, clock)
+local function clock_change(source, message, time, clock)
   local advance = (clock - source.clock) / 1e9
-  local elapsed = elapsed_since(source, message, advance)
+  local elapsed = elapsed_since(source, time, advance)
   if did_both_go_back(source, advance, elapsed) then return nil end
   local may_be_shared = advance <= 0 or source.lead ~= 0
   if may_be_shared and is_shared(source, message, advance, math.max(elapsed, 0)) then
@@ -190,21 +193,22 @@ end
 
 -- Detectors --------------------------------------------------------------------------------------
 --
--- A detector is a function(source, message, delta, change), which returns the name of a change and
--- its value, nil for nothing:
+-- A detector is a function(source, message, delta, change, time, clock).  It returns the name of a
+-- change and its value, nil for nothing:
 --   delta   seconds since the source's previous good message, false for the first
 --   change  of the detectors before it, nil for nothing
+--   time    of the message; clock = of its controller, nanoseconds, or nil
 
 -- "shared", "reboot", "stale" or "jump": the controller's clock.
-local function detect_clock(source, message)
-  local clock, name, value = clock_of(message), nil, nil
+local function detect_clock(source, message, _, _, time, clock)
   if not clock then return nil end
-  if source.clock then name, value = clock_change(source, message, clock) end
+  local name, value = nil, nil
+  if source.clock then name, value = clock_change(source, message, time, clock) end
   if source.has_times and (name == "reboot" or not source.clock) then
     insert(source.base_keys, message.key)
-    insert(source.bases, clock / 1e9 - message.time)
+    insert(source.bases, clock / 1e9 - time)
   end
-  source.clock, source.clock_time, source.payload = clock, message.time, message.payload
+  source.clock, source.clock_time, source.payload = clock, time, message.payload
   return name, value
 end
 
@@ -229,9 +233,9 @@ local function detect_flags(source, message)
 end
 
 -- "faults": those among these flags that rise or fall.
-local function detect_faults(source, message, _, change)
+local function detect_faults(source, message, _, change, time)
   local flags = change and change.flags
-  local steps = flags and source.faults:update(flags, message)
+  local steps = flags and source.faults:update(flags, message.key, time)
   if steps then return "faults", steps end
 end
 
@@ -247,9 +251,12 @@ local function detect_missing(source, message, delta, change)
   if ahead > 1 and fall == 0 then return "missing", ahead - 1 end
 end
 
--- "late": the length of a gap that is longer than it may be.
+-- "late": the length of a gap that is longer than it may be; "may_be_late" while nothing tells
+-- whether the capture's clock was set in it.
 local function detect_late(source, _, delta)
-  if delta and delta > source.longest then return "late", delta end
+  local stamps = source.stamps
+  if not delta or delta <= source.longest or stamps:are_coarse() then return nil end
+  return stamps.gap and "may_be_late" or "late", delta
 end
 
 -- The detectors, in the order in which they need each other.  A new change is one of them, a row of
@@ -264,10 +271,10 @@ local function mark_doubtful(source, key, change)
 end
 
 -- Return the change of a good message, nil for none.
-local function update(source, message, delta)
+local function update(source, message, delta, time, clock)
   local change = nil
   for i = 1, #DETECTORS do
-    local name, value = DETECTORS[i](source, message, delta, change)
+    local name, value = DETECTORS[i](source, message, delta, change, time, clock)
     if name then
       change = change or {}
       change[name] = value
@@ -284,6 +291,16 @@ local function update(source, message, delta)
   return change
 end
 
+-- Return the even time of a good message, nil while nothing tells whether the capture's clock was
+-- set before it; and its controller's clock, or nil.
+local function read_times(source, message)
+  local clock, time = clock_of(message), message.time
+  if not source.has_clock then return time, clock end
+  local before = clock and source.clock_time
+  local advance = before and (clock - source.clock) / 1e9
+  return source.stamps:add(time, message.key, before, advance), clock
+end
+
 --- Add the next message, in the order of the capture.
 -- is_only_pass  true if it is sure that it is not revisited
 -- message  { source = of message.types; raws = by index of field, nil if the payload does not fit;
@@ -292,6 +309,7 @@ end
 -- returns  its change, nil if the message is not good or changes nothing: {
 --   missing  how many messages are missing before it by Seq
 --   late     seconds since the previous one, if that is more than options.late periods
+--   may_be_late  true if that is so unless the capture's clock was set
 --   reboot   seconds by which the controller's clock went back
 --   jump     seconds by which it advanced more than the capture's, if more than one
 --   stale    true if it did not advance
@@ -301,18 +319,25 @@ end
 --   shared   at the message that proves that several controllers share the source: frame key of the
 --            message since when they explain its reboots, jumps, stale clocks and late messages
 --   unreliable  true at the messages behind that one, which get nothing else }
---          and the seconds since the source's previous good message, false for the first
+--          and the seconds since the source's previous good message, false for the first, and
+--          where nothing tells them
 function History:add(message, is_only_pass)
   local source, key, change = self.by_source[message.source], message.key, nil
   if not source then
     source = new_source(self, message)
     self.by_source[message.source] = source
   end
-  local delta = source.time and message.time - source.time or false
+  local delta
   if message.status == "good" then
-    source.time = message.time
+    local time, clock = read_times(source, message)
+    local stamp = time or message.time
+    delta = source.time and stamp - source.time or false
+    source.time = time
     if source.own then insert(source.own, key) end
-    change = key > source.shared_key and UNRELIABLE or update(source, message, delta)
+    change = key > source.shared_key and UNRELIABLE or update(source, message, delta, stamp, clock)
+    if not time then delta = false end
+  else
+    delta = source.time and self.stamps:even(message.time) - source.time or false
   end
   if not is_only_pass then self.changes[key], self.deltas[key] = change, delta end
   return change, delta
@@ -340,9 +365,10 @@ function History:state(message)
   if not source or message.status ~= "good" or key >= source.shared_key then return nil end
   local base = source.bases[last_until(source.base_keys, key)]
   local clock, commands = base and clock_of(message), source.commands
-  local active_time, previous_change, next_change = source.faults:state(message)
+  local time = self.stamps:even(message.time)
+  local active_time, previous_change, next_change = source.faults:state(key, time)
   return {
-    drift = clock and clock / 1e9 - message.time - base,
+    drift = clock and clock / 1e9 - time - base,
     command_in = commands and commands[last_until(commands, key - 1)],
     active_time = active_time,
     previous_change = previous_change,

@@ -20,9 +20,9 @@ local undecoded = require "yapp.stat.undecoded"
 local M = {}
 
 local NOTHING = kinds.NOTHING
-local NO_SPANS = "how long faults, gaps and silences lasted is not known, " ..
-  "and a message that was recorded twice counts twice"
-local EQUAL_STAMPS = "time stamps of %s stand still or go back: " .. NO_SPANS
+local NO_SPANS = "how long faults, gaps and silences lasted is not known"
+local NO_COPIES = ", and a message that was recorded twice counts twice"
+local EQUAL_STAMPS = "time stamps of %s stand still or go back: " .. NO_SPANS .. NO_COPIES
 local STEPS = "time stamps went back %s: what lasted meanwhile seems too short"
 local MANY_STEPS = ", and who is silent at the end is not known"
 local LEFT_OUT = "changes of faults, reboots and gaps are unreliable and left out"
@@ -161,6 +161,15 @@ local function count_absences(self, ending)
   end
 end
 
+-- When the capture's clock was set forward.
+local function count_sets(self, ending)
+  for _, set in ipairs(ending.sets) do
+    local length = output.seconds(set.length)
+    local values = { length = length, step = "was set forward", size = length }
+    self:count(kinds.new_event("clock", number_of(set.key), set.to, {}, values))
+  end
+end
+
 -- The packets that were lost while capturing.
 local function count_drops(self, ending)
   for _, drop in ipairs(ending.drops) do
@@ -194,7 +203,10 @@ end
 
 -- Return what time stamps do not tell: a list of texts.
 local function time_notes(self, ending)
-  if ending.lacks_times then return { ending.lacks_times .. ": " .. NO_SPANS } end
+  if ending.lacks_times then
+    local rest = ending.are_coarse and "" or NO_COPIES
+    return { ending.lacks_times .. ": " .. NO_SPANS .. rest }
+  end
   local steps, texts = ending.steps, {}
   if steps > 0 then texts[1] = STEPS:format(output.count(steps, "time")) end
   if steps > 1 then texts[1] = texts[1] .. MANY_STEPS end
@@ -223,6 +235,7 @@ function Answer:finish(ending)
   count_active_faults(self, ending.events)
   count_absences(self, ending)
   count_drops(self, ending)
+  count_sets(self, ending)
   ending.sources, ending.unknown = 0, self.undecoded:count_sources(self.came)
   for source in pairs(self.came) do
     if source.id then ending.sources = ending.sources + 1 end

@@ -11,6 +11,7 @@
 
 local END = require("yapp.wire.can_id").END
 local buses = require "yapp.stat.buses"
+local binary = require "yapp.message.binary"
 local compiler = require "yapp.message.catalogue"
 local field_kinds = require "yapp.message.field_kinds"
 local kinds = require "yapp.stat.kinds"
@@ -117,6 +118,7 @@ local function new_state(source)
   return {
     source = source,
     last = nil, -- event of its latest good message
+    clock = nil, -- the controller's in it, or nil
     faults = NOTHING, -- list of those that are set, as they rose, see message.faults
     is_numbered = false, -- true if Seq No numbers its messages: it changed
     shared_since = math.huge, -- number of the packet from which on two controllers share it
@@ -162,6 +164,15 @@ local function emit(self, kind, cause, values, shown_in)
   end
 end
 
+-- Return the controller's clock in a message, in seconds; nil for one without it.
+local function clock_of(event)
+  local field = event.raws and event.source.type and event.source.type.time
+  local bytes = field and event.raws[field.index]
+  if not bytes then return nil end
+  local seconds, nanoseconds = binary.time(bytes, 0)
+  return seconds + nanoseconds / 1e9
+end
+
 -- Return how many messages of a source have room in a gap, in seconds.
 local function room_of(source, length)
   local every = source.type and source.type.every
@@ -174,7 +185,7 @@ end
 function M.fault_event(event, fault, what)
   local flag, active = fault.flag, nil
   if what ~= "raised" then
-    local length = span(fault.time, event.time)
+    local length = span(fault.time, event.at)
     -- Equal stamps of two packets tell nothing.
     local is_known = length > 0 or number_of(fault.key) == event.frame
     active = is_known and output.seconds(length) or nil
@@ -236,7 +247,7 @@ local function add_command(self, state, event, enabled)
   local before, disabled = state.enabled, state.disabled
   state.enabled = enabled
   if enabled == 1 and disabled then
-    local length = span(disabled.time, event.time)
+    local length = span(disabled.at, event.at)
     -- Equal stamps tell nothing.
     local seconds = length > 0 and output.seconds(length) or nil
     disabled.values.length = seconds
@@ -264,17 +275,28 @@ local function add_motion(self, state, event)
   add_command(self, state, event, raws[field.index])
 end
 
+-- Account for the time between two messages of a source: has it room for others, is it a silence?
+-- Room goes by the controller's clock, unless that was set.
+-- advance  seconds of this clock, nil without one
+local function add_span(self, state, last, event, change, advance)
+  local length, late = span(last.at, event.at), change.late
+  if change.may_be_late and length > self.settings.late * event.source.type.every then
+    late = length
+  end
+  local is_even = advance and advance > 0 and not change.jump
+  state.room = state.room + room_of(event.source, is_even and advance or length)
+  if late then emit(self, "silence", last, { length = output.seconds(late) }, event.frame) end
+end
+
 local function add_message(self, state, event)
   local last, values = state.last, event.values
-  local change = values.change or NOTHING
-  state.last = event
+  local change, clock = values.change or NOTHING, clock_of(event)
+  local advance = clock and state.clock and clock - state.clock
+  state.last, state.clock = event, clock
   if last then
     if event.seq ~= last.seq then state.is_numbered = true end
     if not values.is_unreliable then
-      state.room = state.room + room_of(event.source, span(last.time, event.time))
-    end
-    if change.late then
-      emit(self, "silence", last, { length = output.seconds(change.late) }, event.frame)
+      add_span(self, state, last, event, change, advance)
     end
   end
   self.hand_on(event)
@@ -344,13 +366,16 @@ end
 
 --- End: hand on what only the end shows.
 -- length_since  function(event) -> seconds from a message to the capture's end
-function Events:finish(length_since)
+-- has_times     true if lengths mean something
+function Events:finish(length_since, has_times)
   for _, one in ipairs(self.doubtful) do
-    local state = self.by_source[one.event.source]
-    if one.shown_in < state.shared_since then self.hand_on(one.event) end
+    local event, state = one.event, self.by_source[one.event.source]
+    local means_something = has_times or event.kind ~= "silence"
+    if one.shown_in < state.shared_since and means_something then self.hand_on(event) end
   end
   for _, state in ipairs(self.states) do
     local last = state.last
+    if not (has_times or state.clock) then state.room = 0 end
     if last and not last.values.is_unreliable then
       local every, length = last.source.type and last.source.type.every, length_since(last)
       state.room_at_end = room_of(last.source, length)

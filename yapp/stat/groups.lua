@@ -62,10 +62,10 @@ end
 -- longest  seconds for which a value stays valid
 function M.update_spread(values, value, event, longest)
   local spread, low, high, count = values.spread, INFINITE, -INFINITE, 0
-  values.latest, values.latest_at = round(values.field, value), event.time
+  values.latest, values.latest_at = round(values.field, value), event.at
   for _, member in ipairs(spread.members) do
     local latest = member.latest
-    if latest == latest and span(member.latest_at, event.time) <= longest then
+    if latest == latest and span(member.latest_at, event.at) <= longest then
       low, high, count = math.min(low, latest), math.max(high, latest), count + 1
     end
   end
@@ -189,7 +189,7 @@ local function add_message(self, event)
   local last = group.last
   group.last = event
   if last then
-    local gap = span(last.time, event.time)
+    local gap = span(last.at, event.at)
     if gap > (group.gap_max or -INFINITE) then
       group.gap_max, group.gap_max_frame = gap, event.frame
     end
@@ -231,12 +231,12 @@ end
 
 --- Return the mean gap in seconds, nil for fewer than two messages.
 function M.mean_gap(group)
-  return group.count > 1 and span(group.first.time, group.last.time) / (group.count - 1) or nil
+  return group.count > 1 and span(group.first.at, group.last.at) / (group.count - 1) or nil
 end
 
 --- Return the mean rate in Hz, nil where no two messages are at two times.
 function M.rate(group)
-  local length = group.count > 1 and span(group.first.time, group.last.time) or 0
+  local length = group.count > 1 and span(group.first.at, group.last.at) or 0
   return length > 0 and (group.count - 1) / length or nil
 end
 

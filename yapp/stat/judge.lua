@@ -131,9 +131,9 @@ local function is_fulfilled(state, index, event)
     state.since[index] = false
     return false
   end
-  local since = state.since[index] or event.time
+  local since = state.since[index] or event.at
   state.since[index] = since
-  return span(since, event.time) >= condition.after
+  return span(since, event.at) >= condition.after
 end
 
 -- Values ------------------------------------------------------------------------------------------
@@ -161,12 +161,12 @@ end
 local function add_outside(series, found, event)
   local stretch = series.stretch
   if not stretch then
-    stretch = { since = event.time, count = 0, worst = found }
+    stretch = { since = event.at, count = 0, worst = found }
     series.stretch = stretch
   end
   stretch.count = stretch.count + 1
   if found.room < stretch.worst.room then stretch.worst = found end
-  local length = span(stretch.since, event.time)
+  local length = span(stretch.since, event.at)
   series.longest = math.max(series.longest, length)
   if length < series.rule.hold then return end
   series.outside, stretch.count = series.outside + stretch.count, 0
@@ -247,9 +247,9 @@ end
 -- Return whether conditions and stretches begin anew with a message: behind a gap and a reboot.
 local function begins_anew(state, event, longest)
   local last, change = state.last, event.values.change
-  state.last = event.time
+  state.last = event.at
   if change and change.reboot then return true end
-  return last and (event.time < last or span(last, event.time) > longest)
+  return last and (event.at < last or span(last, event.at) > longest)
 end
 
 --- Add a message.

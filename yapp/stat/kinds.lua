@@ -117,7 +117,7 @@ M.LIST = {
   },
   {
     "clock",
-    "the capture's own clock went back by {back} s",
+    "the capture's own clock {step} by {size} s",
     keys = "length",
     scope = "capture",
   },
@@ -186,6 +186,7 @@ function M.new_event(kind, frame, time, source, values, message)
   return {
     kind = kind,
     time = time,
+    at = time, -- without what the capture's clock was set forward: for lengths; stat.run sets it
     frame = frame,
     source = source,
     values = values or M.NOTHING,
@@ -197,7 +198,7 @@ end
 --- Make an event that follows from the event of a message, its cause.
 function M.new_follower(kind, cause, values)
   local event = M.new_event(kind, cause.frame, cause.time, cause.source, values)
-  event.cause = cause
+  event.cause, event.at = cause, cause.at
   return event
 end
 

@@ -22,15 +22,22 @@ local SEARCH_PREFERENCES = "yapp.user_dlt, tcp.try_heuristic_first, udp.try_heur
 local NO_TIMES = "packets of this capture have no time stamps"
 -- As candump -H writes them for an adapter that has no clock.
 local EQUAL_TIMES = "all packets of this capture have the same time stamp"
+local COARSE_TIMES = "time stamps are those of packets, or too coarse"
 
 local Run = {}
 Run.__index = Run
 
 --- Make a run.
 -- settings  see stat.taps
+-- stamps    a capture.stamps
 -- hint      a text for statistics without a filter, or nil
-function M.new(settings, hint)
-  local self = setmetatable({ settings = settings, hint = hint, answers = {} }, Run)
+function M.new(settings, stamps, hint)
+  local self = setmetatable({
+    settings = settings,
+    stamps = stamps,
+    hint = hint,
+    answers = {},
+  }, Run)
   self.dates = dates.new() -- until a time is known, if ever, of 1970
   self:reset()
   return self
@@ -61,10 +68,15 @@ function Run:add(statistic, options)
   return one
 end
 
-local function deliver_waiting(self)
-  local waiting = self.waiting
+-- Hand on the events that wait, unless nothing tells yet whether the capture's clock was set.
+-- is_end  true if nothing will
+local function deliver_waiting(self, is_end)
+  local waiting, stamps = self.waiting, self.stamps
+  if stamps.gap and not is_end then return end
   for i = 1, #waiting do
-    self.events:add(waiting[i])
+    local event = waiting[i]
+    event.at = stamps:even(event.time)
+    self.events:add(event)
     waiting[i] = nil
   end
 end
@@ -74,7 +86,6 @@ end
 function Run:report(result)
   local number, visited = result.frame.number, result.frame.visited
   if number <= self.latest then -- its taps have run
-    deliver_waiting(self)
     events.append(self.waiting, result)
     return deliver_waiting(self)
   end
@@ -97,7 +108,11 @@ end
 
 -- The capture's clock goes back.
 local function add_step(self, number, rel, step)
-  local values = { length = output.seconds(-step), back = output.seconds(step) }
+  local values = {
+    length = output.seconds(-step),
+    step = "went back",
+    size = output.seconds(step),
+  }
   local clock = kinds.new_event("clock", number, rel, {}, values)
   for _, one in ipairs(self.answers) do one:count(clock) end
 end
@@ -116,7 +131,10 @@ function Run:packet(number, rel, has_clock)
     if has_clock() then add_step(self, number, rel, kinds.span(rel, last)) end
   end
   local event = number == self.number and self.offered[1]
-  if event and event.time == rel then self.waiting, self.number = self.offered, nil end
+  if event and event.time == rel then
+    if self.waiting[1] then self.offered = joined(self.waiting, self.offered) end
+    self.waiting, self.number = self.offered, nil
+  end
 end
 
 local function ignore() end
@@ -125,7 +143,7 @@ local function count_unread(self) self.unread = self.unread + 1 end
 
 --- Take no more packets, but count them: they are of another file, or numbered anew.
 function Run:stop()
-  deliver_waiting(self)
+  deliver_waiting(self, true)
   self.report, self.add_bus_error, self.packet = ignore, ignore, count_unread
 end
 
@@ -148,7 +166,8 @@ end
 -- Return why times of packets mean nothing; nil if they mean something.
 local function explain_times(self, capture)
   if capture.lacks_times then return NO_TIMES end
-  return self.packets > 1 and not self.has_progress and EQUAL_TIMES or nil
+  if self.packets > 1 and not self.has_progress then return EQUAL_TIMES end
+  return self.stamps:are_coarse() and COARSE_TIMES or nil
 end
 
 -- Return the texts of a list, each once.
@@ -170,7 +189,7 @@ local function deliver_rest(self, capture)
     if not (is_cut and capture.unread) then events.append(waiting, result) end
   end
   output.sort(waiting, function(event) return event.kind == "unfinished" and event.frame or 0 end)
-  deliver_waiting(self)
+  deliver_waiting(self, true)
 end
 
 --- End: all packets have come.
@@ -183,16 +202,18 @@ end
 --   unread       the same in short if packets were left out, nil if none }
 -- returns  the exit code, and a list of texts to say
 function Run:finish(capture)
-  deliver_waiting(self)
-  local step, last = self.step, self.last or 0
+  deliver_waiting(self, true)
+  local stamps, step, last = self.stamps, self.step, self.last or 0
+  local lacks_times = explain_times(self, capture)
   deliver_rest(self, capture)
   -- Behind a step back of the clock, a lower bound: from there on.  Behind several, the stamps of
   -- recorders may alternate: then nothing tells.
   local function length_since(event)
-    if self.steps > 1 then return 0 end
-    return kinds.span(event.frame < step.number and step.time or event.time, last)
+    if lacks_times or self.steps > 1 then return 0 end
+    local from = event.frame < step.number and step.time or event.time
+    return kinds.span(stamps:even(from), stamps:even(last))
   end
-  self.events:finish(length_since)
+  self.events:finish(length_since, not lacks_times)
   local reason = explain_nothing_found(self, capture.extended)
   local ending = {
     last = self.last, -- seconds from the first packet to the last one, nil for none
@@ -200,7 +221,9 @@ function Run:finish(capture)
     events = self.events,
     begin = self.dates.seconds + self.dates.nanoseconds / 1e9, -- of the first packet
     reason = reason, -- why no message was found, nil if one was
-    lacks_times = explain_times(self, capture),
+    lacks_times = lacks_times,
+    are_coarse = lacks_times == COARSE_TIMES, -- then messages recorded twice are still found
+    sets = stamps.sets, -- when the capture's clock was set forward
     steps = self.steps, -- how often its stamps went back
     -- Wishes of the user that were not met, and why not all was read: texts.
     problems = joined(self.settings.problems, capture.problems),

@@ -172,7 +172,7 @@ end
 
 local function open(self)
   self.command = command.options()
-  self.current, self.taps = run_of.new(self.settings, hint_of(self.command)), {}
+  self.current, self.taps = run_of.new(self.settings, self.buses.stamps, hint_of(self.command)), {}
   self.reading:listen(self.current)
   self.headers:open()
   self.watch()
