@@ -51,6 +51,7 @@ def shown(capture, *options, also=()):
 
     also: fields that are asked for and not shown."""
     frames = []
+    also = [*also, *tshark.tells_remote()]
     for number, text, *values in tshark.fields(capture, ["frame.number", column("Info"), *FIELDS, *also], *options):
         frame = {name: [plain(name, one) for one in value.split(",")] for name, value in zip(FIELDS, values) if value}
         if frame:
