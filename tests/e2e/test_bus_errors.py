@@ -229,6 +229,16 @@ def test_a_bit_rate_is_a_number():
         assert done.returncode == 21 and f"bitrate={given}: " in done.stderr
 
 
+def test_asc(folder):
+    """Its error frames have no class."""
+    path = folder / "errors.asc"
+    lines = [f" {0.1 * at:.6f} 1  {'ErrorFrame' if at % 5 == 2 else '123             Rx   d 1 01'}" for at in range(20)]
+    path.write_text("date Tue Nov 14 22:13:20.000 2023\nbase hex  timestamps absolute\n" + "\n".join(lines) + "\n")
+    row = json.loads(tshark.run("-r", path, "-q", "-z", "yapp,buses,json").stdout)
+    assert [row["bus"], row["frames"], row["errors"]["bus"], sum(row["errors"].values())] == ["CAN-1", 16, 4, 4]
+    assert failed(path, "bus_errors=3")[1]["bus_errors"] == 4
+
+
 def test_a_pipe(folder):
     frames = flight(random.Random(3))
     path = folder / "errors.pcapng"

@@ -21,25 +21,23 @@ local CONTROLLER = 0x04 -- class: the controller's state follows
 local NEAR = 1 -- seconds
 
 -- What an error frame may report, the gravest first: of these `buses` counts one a frame.
--- class, controller  bits in its class, or in the controller's state
--- event    true if it is the `what` of an event
--- state    true if it stands for a new state of the bus
+-- bits      of its class; above these, those of the controller's state
+-- is_event  true if it is the `what` of an event
+-- state     the state of the bus that it shows, or nil
 local REPORTS = {
-  { name = "off", class = 0x40, event = true, state = true },
-  { name = "passive", controller = 0x30, event = true, state = true },
-  { name = "restarted", class = 0x100, event = true, state = true },
-  { name = "no_ack", class = 0x20, event = true },
-  { name = "tx_timeout", class = 0x01, event = true },
-  { name = "overflow", controller = 0x03 },
-  { name = "warning", controller = 0x0C, state = true },
-  { name = "active", controller = 0x40, state = true },
-  { name = "protocol", class = 0x08 },
-  { name = "arbitration", class = 0x02 },
-  { name = "transceiver", class = 0x10 },
-  { name = "bus", class = 0x80 },
+  { name = "off", bits = 0x40, is_event = true, state = "off" },
+  { name = "passive", bits = 0x300000, is_event = true, state = "passive" },
+  { name = "restarted", bits = 0x100, is_event = true, state = "restarted" },
+  { name = "no_ack", bits = 0x20, is_event = true },
+  { name = "tx_timeout", bits = 0x01, is_event = true },
+  { name = "overflow", bits = 0x030000 },
+  { name = "warning", bits = 0x0C0000, state = "active" },
+  { name = "active", bits = 0x400000, state = "active" },
+  { name = "protocol", bits = 0x08 },
+  { name = "arbitration", bits = 0x02 },
+  { name = "transceiver", bits = 0x10 },
+  { name = "bus", bits = 0x80 },
 }
--- The states in which a bus works.
-local GOOD = { warning = "active", active = "active" }
 
 -- Return where the SocketCAN record begins in a packet: in front of it, a cooked capture has a
 -- header with the device type CAN, 280.
@@ -64,12 +62,10 @@ function M.read_error(packet)
   -- Records of SocketCAN are big endian, those of cooked captures in the order of the host.  Taken
   -- the wrong way round, the class is none, or has a bit above all that there are.
   local class = math.min(class_of(a, b, c, d), class_of(d, c, b, a))
-  local has_state = band(class, CONTROLLER) > 0
-  local state, reports = has_state and byte(packet, offset + HEADER + 2) or 0, {}
+  local state = band(class, CONTROLLER) > 0 and byte(packet, offset + HEADER + 2) or 0
+  local found, reports = class % 0x10000 + state * 0x10000, {}
   for _, report in ipairs(REPORTS) do
-    if band(class, report.class or 0) + band(state, report.controller or 0) > 0 then
-      reports[#reports + 1] = report
-    end
+    if band(found, report.bits) > 0 then reports[#reports + 1] = report end
   end
   return { reports = reports }
 end
@@ -84,7 +80,8 @@ Errors.__index = Errors
 function M.new_errors(hand_on)
   return setmetatable({
     hand_on = hand_on,
-    states = {}, -- by source: { state = the latest, [name of a report] = its latest time }
+    -- By source: { state = the latest, [name of another report] = its latest time }
+    states = memo(function() return { state = "active" } end),
   }, Errors)
 end
 
@@ -95,33 +92,31 @@ end
 -- Return whether a report begins something.  A state lasts until another one comes.  Nothing tells
 -- when frames are acknowledged again: so that ends when the bus works again, or after a second.
 local function is_new(known, report, time)
-  local name = GOOD[report.name] or report.name
-  if report.state then
-    local is_other = name ~= known.state
-    if is_other and name ~= "passive" then known.no_ack, known.tx_timeout = nil, nil end
-    known.state = name
-    return is_other
-  end
+  local name, state = report.name, report.state
   local latest = known[name]
-  known[name] = time
-  return not latest or span(latest, time) > NEAR
+  if not state then
+    known[name] = time
+    return not latest or span(latest, time) > NEAR
+  end
+  local is_other = state ~= known.state
+  known.state = state
+  if is_other and state ~= "passive" then known.no_ack, known.tx_timeout = nil, nil end
+  return is_other
 end
 
 --- Add the event of an error frame, in the order of the capture.
 function Errors:add(event)
-  local source = event.source
-  local known, is_state_known = self.states[source] or { state = "active" }, false
-  self.states[source] = known
+  local known, has_state = self.states[event.source], false
   self.hand_on(event)
   for _, report in ipairs(event.values.reports) do
-    local counts = not (report.state and is_state_known) and is_new(known, report, event.time)
-    is_state_known = is_state_known or report.state
-    if counts and report.event then
-      emit(self, "bus", event, { what = report.name })
-      local rule = "bus_" .. report.name
-      if kinds.BY_NAME[rule] then emit(self, rule, event, { note = source.bus }) end
+    local name, is_first = report.name, not (report.state and has_state)
+    has_state = has_state or report.state
+    if name == "overflow" then emit(self, "dropped", event, { count = 1 }) end
+    if is_first and is_new(known, report, event.time) and report.is_event then
+      emit(self, "bus", event, { what = name })
+      local rule = "bus_" .. name
+      if kinds.BY_NAME[rule] then emit(self, rule, event, { note = event.source.bus }) end
     end
-    if report.name == "overflow" then emit(self, "dropped", event, { count = 1 }) end
   end
 end
 
@@ -144,27 +139,22 @@ end
 
 -- buses -------------------------------------------------------------------------------------------
 
--- Of a frame with an 11-bit id and without data: its bits up to the next frame; how many of these
--- stuffing lengthens; and how many more a 29-bit id has.
-local CLASSIC = { bits = 47, stuffed = 34, long_id = 20 }
-local FLEXIBLE = { bits = 62, stuffed = 22, long_id = 19 } -- its CRC has fixed bits of stuffing
-local LONG_CRC = 5 -- more bits of the CRC of over 16 bytes
-local EXTENDED, REMOTE = 0x80, 0x40 -- flags in the highest byte of the id
-local FDF = 0x04 -- flag behind the length
+local BITS = 47 -- of a frame with an 11-bit id and without data, up to the next frame
+local STUFFED = 34 -- how many of these stuffing may lengthen
+local LONG_ID = 20 -- how many more a 29-bit id has
 local STUFFING = 1 / 30 -- the mean of random bits; at most 1 / 4
+local EXTENDED, REMOTE = 0x80, 0x40 -- flags in the highest byte of the id
 
 -- Return how many bits a frame takes on its bus, with the mean stuffing.
 -- packet  its bytes, from the beginning of the packet
 local function bits_of(packet)
   local offset = record_offset(packet)
-  local a, _, _, d, length, flags = byte(packet, offset + 1, offset + 6)
-  if not flags then return 0 end -- the snap length cuts it
-  local id = offset > 0 and d or a -- the highest byte, see read_error
-  local is_flexible = length > 8 or band(flags, FDF) > 0
-  local form, more = is_flexible and FLEXIBLE or CLASSIC, band(id, REMOTE) == 0 and 8 * length or 0
-  if band(id, EXTENDED) > 0 then more = more + form.long_id end
-  local crc = is_flexible and length > 16 and LONG_CRC or 0
-  return form.bits + more + crc + (form.stuffed + more) * STUFFING
+  local a, _, _, d, length = byte(packet, offset + 1, offset + 5)
+  if not length then return 0 end -- the snap length cuts it
+  local flags = offset > 0 and d or a -- in this order of bytes, see read_error
+  local more = band(flags, EXTENDED) > 0 and LONG_ID or 0
+  if band(flags, REMOTE) == 0 then more = more + 8 * length end
+  return BITS + more + (STUFFED + more) * STUFFING
 end
 
 local NAMES = {}
