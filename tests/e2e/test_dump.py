@@ -242,15 +242,6 @@ def test_random_dumps(start, end, way, folder):
     assert_shown(dump(folder, data), folder, data, [way])
 
 
-def test_long_dump(folder):
-    """Frames, and ranges between them, lie across the parts in which a file is read."""
-    rng = random.Random(f"{SEED}, long")
-    data = b"".join(clocked(rng, 150) + b"text " * rng.randrange(3000) for _ in range(levels.size(6, 15)))
-    data += b"x" * 200000 + clocked(rng, 5)
-    assert len(data) > 4 * LONGEST
-    assert_shown(dump(folder, data), folder, data, levels.size(["-2"], WAYS))
-
-
 # Times -----------------------------------------------------------------------------------------------------------
 
 def times(path, *arguments):
@@ -356,14 +347,6 @@ def test_compressed(name, folder):
     assert_shown(dump(folder, gzip.compress(data), name), folder, data, levels.size(["-2"], WAYS))
 
 
-def test_the_first_frame_comes_late(folder):
-    """However late: a .yapp file is searched to its end."""
-    data = b"noise" * levels.size(50000, 500000) + some()
-    path = dump(folder, data)
-    for passes in ([], ["-2"]):
-        assert not differences(records(data), rows(path, *passes), "late")
-
-
 MOTOR = bytes.fromhex("FD7F FD7F FD7F FD7F F5AF FD7F 1801 00000140 00000000 E38CD23CE04E0000 05FF")
 HEALTH = bytes.fromhex("0000000000000000 7D325A46501964 0103")
 
@@ -373,20 +356,6 @@ def at(payload, seconds):
     now = struct.unpack("<q", MOTOR[22:30])[0] + round(seconds * 10**9)
     where = 22 if len(payload) == len(MOTOR) else 0
     return payload[:where] + struct.pack("<q", now) + payload[where + 8:]
-
-
-@levels.by_route
-def test_the_capture_of_the_repository(folder):
-    """It is made of what is written here."""
-    command = frame(0, bytes.fromhex("015A014F80F380"))
-    bad = bytearray(frame(0x210, at(MOTOR, 0.2)))
-    bad[20] ^= 0x40
-    data = b"".join([b"\r\nTaurus\r\n> ", frame(0x210, MOTOR), command, b"ps\r\n", frame(0x200, at(HEALTH, 0.1)),
-                     bytes(bad), frame(0x210, at(MOTOR, 0.3)), frame(0x210, at(MOTOR, 0.4))[:40]])
-    path = CAPTURES / "serial/dump_document.yapp"
-    assert path.read_bytes() == data
-    assert [event.kind for event in records(data)] == ["skipped", "good", "good", "skipped", "good", "bad", "good", "incomplete"]
-    assert_shown(path, folder, data, levels.size(["one pass", "-2", "written"], WAYS))
 
 
 # Files of others -------------------------------------------------------------------------------------------------
@@ -545,11 +514,6 @@ def written(folder, sent):
     path, rng = folder / "run.yapp", random.Random(SEED)
     path.write_bytes(b"".join(message(ident, round(at * 10**9), rng) for ident, at in sent))
     return [float(row[0]) for row in tshark.fields(path, ["frame.time_relative"])]
-
-
-def test_three_reboots(folder):
-    sent = [(0x210, boot + at / 10) for boot in (4000, 900, 90, 0.5) for at in range(5)]
-    assert written(folder, sent) == pytest.approx([0.4 * boot + at / 10 for boot in range(4) for at in range(5)], abs=1e-6)
 
 
 def test_a_reboot_of_one_of_two_controllers(folder):

@@ -3,7 +3,6 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local can = require("yapp.wire.can_id")
-local crc = require("yapp.wire.crc")
 
 local T = {}
 
@@ -24,11 +23,6 @@ function T.test_ids()
   end
 end
 
-
-function T.test_names_of_can_ctrl()
-  lu.assertEquals(can.CTRL_NAMES, { [0] = "Single", [1] = "Start", [2] = "Middle", [3] = "End" })
-  lu.assertEquals({ can.START, can.END }, { 1, 3 })
-end
 
 function T.test_what_a_start_says()
   local data = "\1\2\3\4\5\6\7\8"
@@ -93,34 +87,6 @@ function T.test_padding()
     { bytes(4, 0), 12, 9, 3 },
   } do
     lu.assertEquals(can.padding(row[1], row[2], row[3]), row[4], ("%d for %d"):format(row[2], row[3]))
-  end
-end
-
-function T.test_header()
-  lu.assertEquals(can.header({ id = 0x210, seq = 0, ctl = 0 }, 32), "YP\0\0\16\2\0\0\32\0\0\0")
-  lu.assertEquals(can.header({ id = 0x7FF, seq = 0x15, ctl = 0x3F }, 0xABCD, 0x1234),
-    "YP\21\63\255\7\0\0\205\171\52\18")
-end
-
--- The CRC of the header is kept for the next message of this size, but with reserved bytes.
-function T.test_the_seed()
-  local fields, payload = { id = 0x210, seq = 0, ctl = 0 }, ("x"):rep(32)
-  for _, size in ipairs { 32, 17, 17, 32 } do
-    local seed = crc.of(can.header(fields, size))
-    lu.assertEquals({ can.seed(fields, size), fields.seed, fields.seed_size }, { seed, seed, size })
-    lu.assertEquals(can.seed(fields, size, 5), crc.of(can.header(fields, size, 5)))
-    lu.assertEquals({ fields.seed, fields.seed_size }, { seed, size })
-  end
-  local of, count = crc.of, 0
-  function crc.of(...)
-    count = count + 1
-    return of(...)
-  end
-  for _ = 1, 2 do can.seed(fields, 8) end
-  crc.of = of
-  lu.assertEquals(count, 1)
-  for _, reserved in ipairs { false, 5 } do
-    lu.assertEquals(can.crc(fields, payload, reserved or nil), crc.of(can.header(fields, 32, reserved or 0) .. payload))
   end
 end
 

@@ -4,7 +4,6 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local crc = require("yapp.wire.crc")
-local can_id = require("yapp.wire.can_id")
 local levels = require("levels")
 local oracle = require("can_oracle")
 local random_can = require("can_random")
@@ -30,22 +29,6 @@ local function check(rows, options)
     for i, verdict in ipairs(oracle.verdicts(frames)) do texts[i] = verdict.text end
     lu.assertEquals(table.concat(texts, " "), row[2], row[1])
   end
-end
-
-function T.test_whole_messages()
-  check {
-    { "S32 M8 M8 M8 E8", ". . . . good" },
-    { "S9 M8 E1", ". . good" },
-    { "S9 E8 E1", ". incomplete+fragment.incomplete -" },
-    { "S32 M8 M8 M8 E8 S32 M8 M8 M8 E8", ". . . . good . . . . good" },
-    { "S32 M4 M8 M8 M8 E4", ". . . . . good" }, -- any lengths that add up
-    { "S32! M8 M8 M8 E8", ". . . . bad" },
-    { "S65 M64 E1", ". . good" },
-    { "S73 M64 E9p12", ". . good" },
-    { "S40 E40p48", ". good" },
-    { "S40 E40p64", ". overrun+fragment.overrun" }, -- 48 would have done
-    { "S16 M8 E8/12", ". . overrun+fragment.overrun" },
-  }
 end
 
 -- A message that lost its End is reported once: when a later message has overtaken it.
@@ -85,21 +68,6 @@ function T.test_messages_that_interleave()
     { "aS17 bS17 aM8 bM8 aM8 aE1 cS17 bM8 bE1 cM8 cM8 cE1", ". . . . . good . . good . . good" },
     { "aS32 bS32 bM8 aM8 bE8? aM8 aM8 aE8", ". . . . . . . good" },
   }, { buses = false })
-end
-
--- A revisit knows where each frame went; a stranger is of no message.
-function T.test_revisits_of_messages_that_interleave()
-  local _, known, frames = words.send("aS32 M8? aM8 bS32 aM8 aM8 aE8 bM8 bM8 bM8 bE8")
-  local members = { [7] = { 1, 3, 5, 6, 7 }, [11] = { 4, 8, 9, 10, 11 } }
-  for last, numbers in pairs(members) do
-    for i, number in ipairs(numbers) do
-      local _, found = words.visit(known, frames[number], true)
-      lu.assertEquals({ found.in_number, words.numbers(found.message), found.index },
-        { last, numbers, i })
-    end
-  end
-  local text, found = words.visit(known, frames[2], true)
-  lu.assertEquals({ text, found.message }, { "." })
 end
 
 -- The fragments of a message come one after the other: at a Start a tenth of a second behind them it
@@ -163,56 +131,6 @@ function T.test_frames_recorded_twice()
   end
 end
 
--- Payloads may have frames alike by themselves: the search finds the one that came twice.
-function T.test_a_frame_delivered_twice_before_others_alike()
-  for runs, expected in pairs { [1] = "good", [10] = "good", [100] = "overrun+fragment.overrun" } do
-    local chunks = { "twice...", "twice..." }
-    for run = 1, runs do
-      local chunk = ("run %04d"):format(run)
-      chunks[2 * run + 1], chunks[2 * run + 2] = chunk, chunk
-    end
-    chunks[#chunks + 1] = "the end."
-    local known, said = words.new(), nil
-    local start = words.start(0x123, table.concat(chunks, "", 2))
-    words.visit(known, { can_id = words.can_id(0x123, 1), data = start, number = 1 })
-    for i, chunk in ipairs(chunks) do
-      said = words.visit(known, { can_id = words.can_id(0x123, i < #chunks and 2 or 3), data = chunk,
-        number = i + 1 })
-    end
-    lu.assertEquals(said, expected, runs)
-  end
-end
-
-function T.test_malformed_starts()
-  check({
-    { "S32/7 M8", "start+fragment.incomplete orphan+fragment.orphan" },
-    { "S32/1 E8", "start+fragment.incomplete orphan+fragment.orphan" },
-    { "S32 M8 S32/7 M8",
-      ". . start+fragment.incomplete+fragment.incomplete orphan+fragment.orphan" },
-    { "S0 E8", "start+size.mismatch orphan+fragment.orphan" },
-    { "S32r M8 M8 M8 E8", ".+reserved.nonzero . . . good" },
-    { "S32/12 M8 M8 M8 E8", ".+size.mismatch . . . good" },
-    { "S32/9 M8 M8 M8 E8", ".+size.mismatch . . . good" },
-    { "S32 M8 M8= M8 M8 M1 M8? E8", ". . . . . . . overrun+fragment.overrun" },
-    { "S32/12~4 M8", "start+size.mismatch orphan+fragment.orphan" },
-    { "S5 E5", ". good" },
-    { "X8", "invalid+can.ctrl.invalid" },
-    { "S32 X8? M8 M8 M8 E8", ". invalid+can.ctrl.invalid . . . good" },
-  }, { accepts_all = true })
-end
-
--- A firmware that grew a field: what follows belongs to its Start.
-function T.test_sizes_that_are_not_the_catalogues()
-  check({
-    { "S34 M8 M8 M8 M8 E2", ".+size.mismatch . . . . good" },
-    { "S32 M8 S34 M8 M8 M8 M8 E2",
-      ". . .+size.mismatch . . . . good" },
-    { "S30 M8 M8 M8 E6", ".+size.mismatch . . . good" },
-    { "S8 E8", "- orphan+fragment.orphan" }, -- would fit one frame
-    { "L32", "single" }, { "L34", "-" }, { "L34", "single", { accepts_all = true } },
-  }, { ids = MOTOR })
-end
-
 -- A catalogue may allow a range of sizes: those are as good as the full one.
 function T.test_sizes_from_min_size_on()
   for text, expected in pairs {
@@ -228,17 +146,6 @@ function T.test_sizes_from_min_size_on()
     ["L17p24"] = "-", ["L8"] = "-" } do
     lu.assertEquals((words.send(text, { ids = HEALTH, min_size = 10 })), expected, text)
   end
-end
-
-function T.test_cut_by_the_snap_length()
-  check({
-    { "S32 M8~3 M8 M8 E8", ". . . . truncated" },
-    { "S32 M8 M8 M8 E8~0", ". . . . truncated" },
-    { "S32~4 M8", "start orphan+fragment.orphan" },
-    { "S32 M8 S32~4 M8", ". . start+fragment.incomplete orphan+fragment.orphan" },
-    { "S32 M8~3 M8 E8", ". . . incomplete+fragment.incomplete" },
-    { "S32 M8~3 M8 M8 M8 E8", ". . . . . overrun+fragment.overrun" },
-  }, { ids = MOTOR })
 end
 
 function T.test_only_what_is_surely_yapp_is_claimed()
@@ -264,58 +171,6 @@ function T.test_only_what_is_surely_yapp_is_claimed()
     { "L8", "single" }, { "M8", "orphan+fragment.orphan" }, { "S9 M8 E1", ". . good" },
     { "S9 M8 E1", ". . good", { ids = { [""] = { 0x123, 63, 255 } } } },
   }, { accepts_all = true })
-end
-
--- CAN delivers a frame twice: proved by the CRC, on a bus that is told and on one that is not.
-function T.test_a_frame_delivered_twice()
-  for _, is_told in ipairs { true, false } do
-    check({
-      { "S32 M8 M8 M8= M8 E8", ". . . .+fragment.duplicate . good" },
-      -- of several runs
-      { "S32 M8 M8= M8 M8= M8 M8= E8",
-        ". . .+fragment.duplicate . .+fragment.duplicate . .+fragment.duplicate good" },
-      { "S32 M8 M8= M8= M8 M8 E8",
-        ". . .+fragment.duplicate .+fragment.duplicate . . good" },
-      -- the CRC proves nothing
-      { "S32! M8 M8= M8 M8 E8", ". . . . . overrun+fragment.overrun" },
-      { "S32 M8 M8= M8? M8 E8", ". . . . . overrun+fragment.overrun" },
-      -- one lost, one twice: as long as it should be
-      { "S32 M8 M8 M8= E8", ". . . . bad" },
-    }, { ids = MOTOR, buses = is_told })
-    check({ -- CAN FD, whose last frame has padding
-      { "S41 M16 M16 M16= E9p12", ". . . .+fragment.duplicate good" },
-      { "S57 M16 M16= M16= M16 M16 E9p12",
-        ". . .+fragment.duplicate .+fragment.duplicate . . good" },
-      { "S37 M12 M12= M12 E13p16", ". . .+fragment.duplicate . good" },
-      { "S37 M12 M12= M12 E13p20", ". . . . overrun+fragment.overrun" },
-    }, { buses = is_told })
-    for text, padding in pairs { ["S41 M16 M16 M16= E9p12"] = 3, ["S32 M8 M8= M8 M8 E8"] = 0 } do
-      local _, known, frames = words.send(text, { buses = is_told })
-      local _, found = words.visit(known, frames[#frames], true)
-      lu.assertEquals(found.message.padding or 0, padding)
-    end
-  end
-end
-
--- A recorder holds most frames three times, so each End has to search; the searches do not add up.
-function T.test_frames_recorded_three_times()
-  local thrice = "S32 S32= S32= M8 M8= M8= M8 M8= M8= M8 M8= M8= E8 "
-  local text = ("S32 S32= M8 M8 M8 M8= M8= E8 E8= E8= " .. thrice):rep(7)
-  local known, frames = words.new(), words.frames(text, { ids = MOTOR, buses = true })
-  local payloads, count, start, time = {}, 0, nil, 0
-  for _, frame in ipairs(frames) do
-    local is_new = can_id.fields[frame.can_id].ctrl == can_id.START and frame.data ~= start
-    start, time = is_new and frame.data or start, time + (is_new and 0.05 or 1e-4)
-    frame.time = time
-  end
-  words.visits(known, frames)
-  for _, frame in ipairs(frames) do
-    local said, found = words.visit(known, frame, true)
-    if said:find("^good") and not payloads[found.payload] then
-      payloads[found.payload], count = true, count + 1
-    end
-  end
-  lu.assertEquals(count, 14)
 end
 
 -- Two to four recorders, each a little behind the one before: of 60 messages a round nearly all are found.
@@ -465,13 +320,6 @@ function T.test_mixed_at_random()
   lu.assertEquals(good, sent)
 end
 
--- Buses that overlap without a gap: what has gone does not fill the pool.
-function T.test_it_goes_on_for_long()
-  local text = "aS32 aM8 " .. ("bS32 aM8 aM8 aE8 bM8 aS32 bM8 bM8 bE8 aM8 "):rep(300) .. "aM8 aM8 aE8"
-  local shown = words.send(text)
-  lu.assertEquals(select(2, shown:gsub("good", "")), 601)
-end
-
 -- Messages of many small frames that fit nothing: the worst that the search can meet.
 function T.test_the_effort_is_bounded()
   local update, steps = crc.update, 0
@@ -522,12 +370,6 @@ function T.test_several_frames_in_a_packet()
   lu.assertEquals(visits(known, { rows[2], { 1, 1, 200 } }, true), ".>2 -")
 end
 
-function T.test_a_frame_that_never_came()
-  local known = words.new()
-  visits(known, { { 1, 1 }, { 2, 2 }, { 3, 3 }, { 4, 4 }, { 5, 5 } })
-  lu.assertEquals(visits(known, { { 6, 2 }, { 5, 5, 60 } }, true), "- -")
-end
-
 -- With -2 -R, packet 3 is dropped, and the next one gets its number: the later one wins.
 function T.test_a_read_filter()
   local known = words.new()
@@ -552,52 +394,6 @@ function T.test_a_bus_that_is_known_here_and_there()
 end
 
 -- What is kept ------------------------------------------------------------------------------------
-
--- All that was known of a good message is known when it is visited again.
-function T.test_a_message_that_is_recalled()
-  for text, id in pairs { ["S32 M8 M8 M8 E8"] = 0x210, ["S9 M8 E1"] = 0x7FF,
-    ["S73 M64 E9p12"] = 0x210, ["S1000 " .. ("M8 "):rep(124) .. "E8"] = 5, ["S9 M8 L7? E1"] = 0x210,
-    ["S9r M8 E1"] = 0x210, ["S2400 " .. ("M8 "):rep(299) .. "E8"] = 5 } do
-    -- The second of two: it has a fault.
-    local known, all, frames = words.new(), words.frames(text .. " " .. text,
-      { ids = { [""] = { id, 0, 9 } }, accepts_all = true }), {}
-    words.visits(known, all)
-    for i = #all / 2 + 1, #all do frames[#frames + 1] = all[i] end
-    local message, fragments = select(2, words.visit(known, frames[#frames], true)).message, {}
-    for i, number in ipairs(words.numbers(message)) do fragments[i] = all[number].data end
-    lu.assertEquals(table.concat(fragments, "", 2):sub(1, message.size), message.payload)
-    lu.assertEquals({ #message.payload, message.status, message.has_fault },
-      { message.size, "good", true })
-    local fields = { id = id, seq = 9, ctl = 0 }
-    local sum = crc.of(can_id.header(fields, message.size, message.reserved) .. message.payload)
-    lu.assertEquals(message.crc or can_id.crc(fields, message.payload), sum)
-    for _, frame in ipairs { frames[1], frames[2], frames[#frames] } do
-      local _, found = words.visit(known, frame, true)
-      lu.assertTrue(found.message.has_fault)
-      _, found = words.visit(known, all[frame.number - #frames], true)
-      lu.assertNil(found.message.has_fault)
-    end
-  end
-end
-
--- And of one that is not good.
-function T.test_a_broken_message_that_is_recalled()
-  for text, row in pairs {
-    ["S32! M8 M8 M8 E8"] = { "bad", 32, nil, 5 }, ["S32 M8 M8 E8"] = { "incomplete", 24, 24, 4 },
-    ["S32 M8 M8 M8 M8 E8"] = { "overrun", 40, 40, 6 }, ["S32 M8~3 M8 M8 E8"] = { "truncated", 3, nil, 5 },
-    ["S32 M20~10 E12"] = { "truncated", 10, nil, 3 }, -- the End's bytes do not move up
-  } do
-    local _, known, frames = words.send(text, { ids = MOTOR, buses = true })
-    local _, found = words.visit(known, frames[#frames], true)
-    local message = found.message
-    lu.assertEquals({ message.status, #message.payload, #message, message.size },
-      { row[1], row[2], row[4], 32 }, text)
-    if row[3] then lu.assertEquals(message.received, row[3]) end
-    local payload = message.payload
-    local calculated = crc.of(can_id.header({ id = 0x210, seq = 0, ctl = 0 }, 32) .. payload)
-    lu.assertEquals(message.calculated, row[1] == "bad" and calculated or nil, text)
-  end
-end
 
 local function unfinished(text, options)
   local known, list = words.new(), {}

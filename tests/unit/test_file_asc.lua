@@ -51,15 +51,6 @@ function T.test_lines()
   end
 end
 
-function T.test_decimal()
-  lu.assertEquals(shown("0.1 1 138428416x Rx d 2 255 16", 10), "100000 1 88404000 2 0 FF10")
-  lu.assertNil(shown("0.1 1 8404000x Rx d 2 256 16", 10))
-  -- 2^64 + 1 would be 1 in Lua 5.4, and 2^63 less than 0
-  for _, byte in ipairs { "18446744073709551617", "9223372036854775808", "1000" } do
-    lu.assertNil(shown("0.1 1 8404000x Rx d 1 " .. byte, 10))
-  end
-end
-
 -- Lines of known kinds that are no data frames, and events of the recorder.
 function T.test_lines_that_are_known()
   for _, line in ipairs { "", " \t", "// 0.1 1 123 Rx d 1", "// version 7.1.0", "; remark", "date Tue Nov 14 2023",
@@ -173,33 +164,6 @@ function T.test_dates_that_are_not_understood()
   end
 end
 
-function T.test_several_channels_in_the_first_lines()
-  local function has_several(...)
-    local lines = HEAD
-    for i, channel in ipairs { ... } do lines = lines .. ("%d.5 %d 8404000x Rx d 0\n"):format(i, channel) end
-    return asc.open(file_of(lines), print).has_several
-  end
-  lu.assertEquals({ has_several(), has_several(2), has_several(2, 2), has_several(1, 2, 1), has_several(1, 1, 3) },
-    { false, false, false, true, true })
-  local fd = "   0.00%d CANFD   %d Rx   0x       1 0 7 7 01 A5 00 FD 7F FD 7F\n"
-  lu.assertTrue(asc.open(file_of(HEAD .. fd:format(3, 1) .. fd:format(4, 2)), print).has_several)
-  lu.assertFalse(asc.open(file_of(HEAD .. fd:format(3, 2) .. fd:format(4, 2)), print).has_several)
-end
-
--- The base of a file's ids and data; a clock of twelve hours, of which 12 am is the first.
-function T.test_bases_and_halves_of_the_day()
-  for base, line in pairs { hex = "0.5 1 8404000x Rx d 2 10 ff", dec = "0.5 1 138428416x Rx d 2 16 255" } do
-    local bytes = frames((HEAD:gsub("hex", base)) .. line)[1].bytes
-    lu.assertEquals({ bytes:byte(-10, -1) }, { 0, 0x40, 0x40, 0x88, 2, 0, 0, 0, 16, 255 }, base)
-  end
-  for text, hour in pairs { ["12:13:20.001 am"] = 0, ["1:13:20.001 am"] = 1, ["12:13:20.001 pm"] = 12,
-    ["11:13:20.001 pm"] = 23 } do
-    local start = os.time { year = 2023, month = 11, day = 14, hour = hour, min = 13, sec = 20 }
-    local head = HEAD:gsub("22:13:20%.001", text)
-    lu.assertEquals(frames(head .. "1.0 1 123 Rx d 0\n")[1].seconds, start + 1, text)
-  end
-end
-
 -- They are lost packets, wherever they stand.
 function T.test_damaged_lines_are_lost_packets()
   local frame, cut = "0.5 1 123 Rx d 0\n", "0.6 1 8404000x Rx d 8 BB B\n"
@@ -213,13 +177,6 @@ function T.test_damaged_lines_are_lost_packets()
     { count = 2, frame = 2, time = found[2].seconds + 0.501 }, { count = 1 } })
 end
 
-function T.test_many_lines_and_blocks()
-  local text = {}
-  for i = 1, 5000 do text[i] = ("%d.000000 1 8404000x Rx d 8 BB BE 6F C7 20 00 00 00"):format(i) end
-  lu.assertEquals(#frames(HEAD .. table.concat(text, "\r\n")), 5000)
-  lu.assertTrue(#frames(HEAD .. ("Begin Triggerblock Tue Nov 14 22:13:20 2023\n0.1 1 123 Rx d 0\n"):rep(3000)) == 3000)
-end
-
 -- What a pattern might try again and again makes no line slow: at 4,000 characters one that is tried
 -- from each of them, and to the end, takes a hundred times as long.
 function T.test_no_line_is_slow()
@@ -229,16 +186,6 @@ function T.test_no_line_is_slow()
     for _, unit in ipairs { " ", "0", "x", "a ", "1 ", "1  ", "Rx ", "CANFD ", ".", "0.1 " } do
       local text = HEAD .. front .. unit:rep(math.floor(4000 / #unit)) .. "!\n"
       lu.assertFalse(cpu.is_quadratic(function() frames(text) end), ("%s%s"):format(front, unit))
-    end
-  end
-end
-
--- A file that is asked for may be anybody's.
-function T.test_no_head_is_slow()
-  for _, front in ipairs { "", "date ", "date x\nbase hex timestamps absolute" } do
-    for _, unit in ipairs { "\n", " ", "\nbase", "\nbase hex ", "\n1 ", "\n1.1 1" } do
-      local text = front .. unit:rep(4000)
-      lu.assertFalse(cpu.is_quadratic(function() asc.open(file_of(text), print) end), ("%q%q"):format(front, unit))
     end
   end
 end

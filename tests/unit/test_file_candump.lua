@@ -3,7 +3,6 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local candump = require("yapp.file.candump")
-local cpu = require("cpu")
 local levels = require("levels")
 local text_of = require("candump_text")
 
@@ -38,22 +37,10 @@ function T.test_times_since_the_first_stay()
   lu.assertEquals(times(frames), { "0.000000000", "0.500000000", "1.700000000" })
 end
 
-function T.test_times_of_two_buses_may_change_places()
-  local stamps = { "000.000000", "000.000300", "000.000290", "000.000600", "000.000590" }
-  local frames = frames_of(screen(stamps, { "can0", "can0", "can1", "can0", "can1" }))
-  lu.assertEquals(times(frames)[5], "0.000590000")
-end
-
 function T.test_deltas_are_added_up()
   local frames = frames_of(screen({ "000.000000", "000.900000", "000.200000", "000.000100", "002.000000" }))
   lu.assertEquals(times(frames),
     { "0.000000000", "0.900000000", "1.100000000", "1.100100000", "3.100100000" })
-end
-
-function T.test_equal_times_since_the_first_stay()
-  local stamps = {}
-  for i = 0, 39 do stamps[i + 1] = ("000.%06d"):format(i - i % 2) end
-  lu.assertEquals(times(frames_of(screen(stamps)))[40], "0.000038000")
 end
 
 -- Reading again at any offset gives the same record, in any order of reading.
@@ -79,38 +66,12 @@ function T.test_reading_again()
   assert_same_again((screen(stamps):gsub("000%.", "1700000000.")))
 end
 
--- What is read again, as a click in the packet list does, changes nothing of what comes.
-function T.test_reading_again_between_others()
-  local stamps = { "000.000000", "000.900000", "000.200000", "000.100000" }
-  local text = screen(stamps) .. "broken\n" .. screen { "000.100000" }
-  local log, file = opened(text)
-  local again, last = text_file(text), nil
-  for _ = 1, 5 do
-    last = text_of.frame(log:read(file))
-    for _ = 1, 2 do lu.assertEquals(text_of.frame(log:seek_read(again, last.offset)), last) end
-  end
-  lu.assertEquals(times { last }, { "1.300000000" })
-  lu.assertEquals(log.drops, { { count = 1, frame = 5, time = 1.3 } })
-end
-
 function T.test_numbers_of_buses()
   local stamps = { "000.000000", "000.000001", "000.000002", "000.000003", "000.000004", "000.000005" }
   local frames = frames_of(screen(stamps, { "can1", "any", "can0", "vcan1", "can1", "can12345" }))
   lu.assertEquals(column(frames, "bus"), { 1, 0, 2, 3, 1, 4 })
   lu.assertStrContains(frames[1].comment, "Interface index 1 is can1")
   lu.assertNil(frames[5].comment)
-end
-
-function T.test_more_buses_than_any_file_has()
-  local lines = {}
-  for i = 1, 1000 do lines[i] = string.format("(1.000000) b%dx 123#11\n", i) end
-  local frames = frames_of(table.concat(lines))
-  lu.assertEquals(#frames, 1000)
-  lu.assertEquals({ #frames[1000].bytes, frames[1000].bus }, { 20 + 8 + 1, 999 })
-  for i = 1, 10000 do lines[i] = string.format("(1.000000) b%dx 123#11\n", i) end
-  lu.assertTrue(cpu.is_linear(function(count)
-    lu.assertEquals(frames_of(table.concat(lines, "", 1, count))[count].bus, count - 1)
-  end, 2500))
 end
 
 -- candump -d says in its output, and in a log, how many frames the kernel dropped.
@@ -141,16 +102,6 @@ function T.test_lines_that_may_have_been_frames()
   lu.assertEquals(log.drops, { { count = 2, frame = 3, time = 1700000000 + 1 / 1000000 } })
 end
 
--- A logger that lost its power leaves bytes of zeros.
-function T.test_bytes_of_zeros()
-  for _, text in ipairs { HEAD .. ("\0"):rep(600) .. "\n" .. HEAD .. HEAD, HEAD .. HEAD .. "\0\0\0" .. HEAD .. HEAD } do
-    local log, file = opened(text)
-    local count = 0
-    while log:read(file) do count = count + 1 end
-    lu.assertEquals({ count, log.drops[1].count, log.drops[2] }, { 3, 1 })
-  end
-end
-
 -- The frame behind has the time that is shown of it, or none.
 function T.test_times_of_drops()
   local drop = "DROPCOUNT: dropped 2 CAN frames\n"
@@ -160,31 +111,6 @@ function T.test_times_of_drops()
   log, file = opened("can0  123   [1]  11\n" .. drop .. "can0  123   [1]  11\n")
   while log:read(file) do end
   lu.assertEquals(log.drops, { { count = 2, frame = 2 } })
-end
-
--- What a bus is called, fit to be printed; the frames keep their numbers apart.
-function T.test_names_of_buses_are_fit_to_be_printed()
-  local frames = frames_of("(1.000000) can\255 123#11\n(1.000001) can\254 123#11\n(1.000002) \195\188can 123#\n" ..
-    "(1.000003) \1\127can9 123#\n(1.000004) can\255 123#11\n")
-  lu.assertEquals(column(frames, "bus_name"), { "can\\xFF", "can\\xFE", "\195\188can", "\\x01\\x7Fcan9", "can\\xFF" })
-  lu.assertEquals(column(frames, "bus"), { 0, 1, 2, 9, 0 })
-  lu.assertEquals(frames[1].comment, "Interface index 0 is can\\xFF")
-end
-
--- The same in the format of logs, candump -L -t d; short times of other programs are none since the frame before.
-function T.test_deltas_of_a_log()
-  for shape, sum in pairs { ["(%03d.%06d)"] = 1000000, ["(%d.%06d)"] = 1000 } do
-    local lines = {}
-    for i = 1, 20 do lines[i] = shape:format(0, i % 2 == 0 and 99000 or 1000) .. " can0 08404000#A2" end
-    local log, file = opened(table.concat(lines, "\n"), false)
-    local last
-    for i = 1, 20 do
-      local _, _, seconds, nanoseconds = log:read(file)
-      last = seconds * 1000000 + nanoseconds / 1000
-      if i == 19 then lu.assertEquals(last, sum == 1000 and 1000 or 901000) end
-    end
-    lu.assertEquals(last, sum == 1000 and 99000 or sum)
-  end
 end
 
 function T.test_lines_that_were_not_understood()

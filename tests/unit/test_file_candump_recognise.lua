@@ -4,7 +4,6 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local candump = require("yapp.file.candump")
 local candump_text = require("candump_text")
-local cpu = require("cpu")
 local levels = require("levels")
 
 local frames_of, opened, text_file = candump_text.frames_of, candump_text.opened, candump_text.file
@@ -95,26 +94,6 @@ function T.test_a_log_cut_at_its_start()
   end
 end
 
--- Cut anywhere in front of the data in the first line of every capture: the rest of that line is no frame, or one
--- without its time.  What has neither id nor length any more is not always known.
-function T.test_every_form_cut_at_its_start()
-  local names = assert(io.popen("ls test_captures/candump/*"))
-  for name in names:lines() do
-    local file = assert(io.open(name, "rb"))
-    local text = file:read("*a")
-    file:close()
-    local all, first = #(frames_of(text) or {}), text:find("\n", 1, true)
-    if name:find("broken") or name:find("document") or all == 0 then first = 0 end -- two such lines; letters for digits
-    for at = 2, first - 1 do
-      local count, rest = #(frames_of(text:sub(at)) or {}), text:sub(at, first)
-      local is_known = rest:find("%x#") or rest:find("[%[{]%x+[%]}]")
-      lu.assertTrue(not is_known and count == 0 or count == all or count == all - 1,
-        ("%s: %d of %d frames of %q"):format(name, count, all, rest))
-    end
-  end
-  names:close()
-end
-
 function T.test_a_shell_in_front_of_the_frames()
   for _, lines in ipairs { "candump can0", "$ candump -ta can0", "$ sudo ip link set can0 up\n$ candump can0",
     "Script started on 2026-11-14 22:13:20+00:00\npi@drone:~$ ls\nrun.log\npi@drone:~$ candump -L any",
@@ -122,22 +101,6 @@ function T.test_a_shell_in_front_of_the_frames()
     "\nWarning: Console output active while logging!\nEnabling Logfile 'candump-2026-11-14_221320.log'\n" } do
     lu.assertEquals(#(frames_of(lines .. "\n" .. HEAD:rep(8)) or {}), 8, lines)
   end
-end
-
--- A file that is asked for may be anybody's.
-function T.test_no_head_is_slow()
-  for _, unit in ipairs { " ", "0", "\t", "`", "\n", "x\n", " \n", "\r\n", "(1", "#", "can0 123 [8] " } do
-    for _, last in ipairs { "", "x\n", "\n", "x\n" .. HEAD .. HEAD } do
-      local text = unit:rep(math.floor(4000 / #unit)) .. last
-      lu.assertFalse(cpu.is_quadratic(function() opened(text) end), ("%q%q"):format(unit, last))
-    end
-  end
-end
-
-function T.test_only_the_start_of_other_text_is_read()
-  local file = text_file(("some text\n"):rep(10000))
-  lu.assertNil(candump.open(file, print))
-  lu.assertEquals(file.pos, 4096)
 end
 
 return T

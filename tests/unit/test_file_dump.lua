@@ -94,24 +94,6 @@ function T.test_records_offsets_and_times()
   lu.assertEquals({ log.decimals, log.lacks_clock }, { 9, true })
 end
 
--- Frames { ID, seconds, tenths of a second } of several clocks: of a controller that rebooted, of others with its ID.
-function T.test_several_clocks()
-  local parts, list = {}, {}
-  for i, row in ipairs { { 1, 100, 0 }, { 2, 0, 0 }, { 2, 2, 9 }, { 3, 3, 0 }, { 4, 0, 0 }, { 4, 0, 8 }, { 3, 3, 5 },
-    { 1, 100, 9 }, { 1, 50, 0 }, { 1, 50, 3 }, { 1, 101, 0 }, { 5, 104, 9 }, { 5, 106, 0 } } do
-    parts[i] = frame(row[1], string.char(row[2], row[3]))
-  end
-  local file = file_of(table.concat(parts))
-  local log = dump.open(file, { new_framer = new_framer, time_of = function(bytes)
-    return bytes:byte(13), bytes:byte(14) * 100000000
-  end })
-  for i = 1, #parts do
-    local record = record_of(log:read(file))
-    list[i] = record.seconds + record.nanoseconds / 1000000000
-  end
-  lu.assertEquals(list, { 100, 100, 102.9, 103, 103, 103.8, 103.8, 103.8, 103.8, 104.1, 104.1, 104.9, 106 })
-end
-
 -- The rules of a dump's time once more, in half seconds.
 local function new_model()
   local clocks_of, shift, time = {}, 0, nil
@@ -212,25 +194,6 @@ function T.test_long_ranges_are_several_records()
   end
 end
 
-function T.test_a_claim_that_is_long_in_doubt()
-  local claim = "YP\0\0" .. le(3, 4) .. le(65535, 2) .. "\0\0"
-  local text = claim:rep(12000)
-  local list = records(frame(2, "a") .. text .. frame(2, "b"))
-  local joined, longest = {}, 0
-  for i, record in ipairs(list) do joined[i], longest = record.bytes, math.max(longest, #record.bytes) end
-  lu.assertTrue(table.concat(joined) == frame(2, "a") .. text .. frame(2, "b"))
-  lu.assertTrue(longest < 262000) -- what Wireshark takes
-end
-
-function T.test_a_second_look_before_the_end()
-  local file = file_of(TEXT)
-  local log = dump.open(file, OPTIONS)
-  for i = 1, 7 do
-    local record = record_of(log:read(file))
-    lu.assertEquals(record_of(log:seek_read(file_of(TEXT), record.offset)), record, "record " .. i)
-  end
-end
-
 function T.test_what_is_a_dump()
   local rows = {
     { "", false }, { "YP", false }, { "some text\n", false }, { frame(2, "a"), true },
@@ -239,57 +202,6 @@ function T.test_what_is_a_dump()
   for i, row in ipairs(rows) do
     lu.assertEquals(dump.open(file_of(row[1]), OPTIONS) ~= nil, row[2], "row " .. i)
   end
-end
-
--- A pipe cannot go back.
-function T.test_it_never_goes_back()
-  local file = file_of(("noise"):rep(500000) .. TEXT)
-  file.seek = nil
-  lu.assertEquals(record_of(dump.open(file, OPTIONS):read(file)).bytes, ("noise"):rep(20000):sub(1, 65536))
-  file = file_of(TEXT)
-  file.seek = nil
-  lu.assertEquals(record_of(dump.open(file, OPTIONS):read(file)).bytes, "boot\r\n")
-  file = file_of(TEXT)
-  local head = file:read(10)
-  lu.assertEquals(record_of(dump.open(file, OPTIONS, head):read(file)).bytes, "boot\r\n")
-end
-
-function T.test_the_first_frame_comes_late()
-  local text = ("noise"):rep(levels.size(100000, 500000))
-  local list = records(text .. frame(1, "\9") .. frame(2, "a"))
-  lu.assertEquals({ list[1].offset, list[1].seconds, #list[1].bytes }, { 0, 9, 65536 })
-  lu.assertEquals({ list[#list - 1].offset, list[#list].bytes }, { #text, frame(2, "a") })
-end
-
--- No more is read than a record needs: of noise at the end of what was read, whether it goes on.
-function T.test_what_is_read_for_a_record()
-  local first, chunk, more = frame(1, "\7"), 65536, ("x"):rep(1000000)
-  local rows = { -- head, rest, of which record, bytes read of the rest
-    { first, "", 1, 0 }, { first, more, 2, chunk }, { "x" .. first, more, 1, 0 },
-    { first .. "x", more, 1, 0 }, { first .. "x", more, 2, chunk },
-    { first .. ("x"):rep(chunk - 1), more, 2, chunk }, { first .. ("x"):rep(chunk), more, 2, 0 },
-    { first .. "x" .. first, more, 2, 0 }, { first .. ("x"):rep(chunk + 1), more, 3, chunk },
-  }
-  for i, row in ipairs(rows) do
-    local file, count = file_of(row[2]), 0
-    local read = file.read
-    function file:read(length)
-      local bytes = read(self, length)
-      count = count + #(bytes or "")
-      return bytes
-    end
-    local log = dump.open(file, OPTIONS, row[1])
-    for _ = 1, row[3] do log:read(file) end
-    lu.assertEquals(count, row[4], "row " .. i)
-  end
-end
-
--- Noise that goes on in the next read is one record as long as it can be: of 65,536 bytes.
-function T.test_noise_over_two_reads()
-  local first, last = frame(1, "\7"), frame(2, "a")
-  assert_records(first .. ("x"):rep(80000) .. last, {
-    { first, 7, 500 }, { ("x"):rep(65536), 7, 500 }, { ("x"):rep(14464), 7, 500 }, { last, 7, 500 } })
-  assert_records(first .. ("x"):rep(65536), { { first, 7, 500 }, { ("x"):rep(65536), 7, 500 } })
 end
 
 return T

@@ -73,20 +73,6 @@ function T.test_a_long_line()
   end
 end
 
--- A file that is one line of 100 MB costs the time of reading it, and no memory.
-function T.test_a_file_of_one_line()
-  local count, piece = 0, ("x"):rep(65536)
-  local lines, largest = text.lines(""), 0
-  local file = { read = function()
-    count = count + 1
-    largest = math.max(largest, #lines.text)
-    return count <= 1600 and piece or nil
-  end }
-  lu.assertTrue(#lines:next(file) > 4096)
-  lu.assertNil(lines:next(file))
-  lu.assertTrue(largest <= 4097 + 65536, largest)
-end
-
 -- What is named is where the line begins that is not there, or not whole.
 function T.test_a_file_that_cannot_be_read_on()
   for _, before in ipairs { "", "one\ntwo" } do

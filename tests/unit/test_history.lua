@@ -87,17 +87,6 @@ local function change(field, value, raised, cleared)
   return { field = field, value = value, raised = raised, cleared = cleared }
 end
 
-function T.test_changes_of_several_fields()
-  local messages = { motor(1, 0), motor(2, 1, { status = 1 }), motor(3, 2), motor(4, 3, { status = 1, fault = 4 }),
-    motor(5, 4), motor(6, 5, { status = 1 }), motor(7, 6, { status = 1, fault = 4 }) }
-  local rose, fell = change(STATUS, 1, 1, 0), change(STATUS, 0, 0, 1)
-  local truth = { "-", { rose }, { fell }, { rose, change(FAULT, 4, 4, 0) }, { fell, change(FAULT, 0, 0, 4) },
-    { rose }, { change(FAULT, 4, 4, 0) } }
-  local found, h = run(messages, "flags")
-  lu.assertEquals(found, truth)
-  for i = 2, #messages do lu.assertEquals(h:change(messages[i]).flags, truth[i]) end
-end
-
 function T.test_deltas_are_from_the_previous_good_message_of_the_source()
   lu.assertEquals(run({ motor(1, 1), motor(2, 1.5, { source = "other" }), motor(3, 3), motor(4, 4, { ends = "bad" }),
     motor(5, 7), command(6, 8), command(7, 8.5) }, "delta"), { "-", "-", 2, 1, 4, "-", 0.5 })
@@ -140,13 +129,6 @@ function T.test_messages_that_come_late_are_not_254_missing()
   lu.assertEquals(missing(5, 6, 5, 7), { "-", "-", "-", "-" }) -- 5 once more
   lu.assertEquals(missing(20, 12, 21), { "-", "-", "-" }) -- 8 behind
   lu.assertEquals(missing(20, 11, 12), { "-", 246, "-" }) -- 9 behind, or 246 lost: the sender goes on from there
-end
-
--- A message that comes late sets the clock back, too; what is behind it is not missing.
-function T.test_a_late_message_of_a_controller()
-  local messages = { motor(1, 0.7, { seq = 7 }), motor(2, 0.9, { seq = 9 }), motor(3, 0.91, { clock = 0.8, seq = 8 }),
-    motor(4, 1, { seq = 10 }) }
-  lu.assertEquals(run(messages, "missing"), { "-", 1, "-", "-" })
 end
 
 function T.test_a_reboot_begins_a_new_numbering_and_a_new_drift()
@@ -203,15 +185,6 @@ function T.test_a_clock_that_jumps()
   lu.assertEquals(jumps(0, 5, 0.1, 3, 0.2, 3600), { "-", "-", 3596.9 }) -- a reboot, then another controller
 end
 
--- Two messages apart where the one between them has no clock, drift goes on from the first.
-function T.test_a_jump_is_since_the_previous_clock()
-  local without = motor(2, 2)
-  without.raws = nil
-  lu.assertEquals(run({ motor(1, 1), without, motor(3, 3.5) }, "jump"), { "-", "-", "-" })
-  local drift = run(clocks(0, 5, 1, 9, 2, 10), "drift")
-  lu.assertEquals(drift, { 0, 3, 3 })
-end
-
 function T.test_without_time_stamps_there_is_nothing_of_time()
   local messages = clocks(0, 5, 0, 3605, 0, 3607, 0, 100, 50, 200) -- one packet of them has a time
   for key, expected in pairs { jump = { "-", "-", "-", "-", "-" }, drift = { "-", "-", "-", "-", "-" },
@@ -219,15 +192,6 @@ function T.test_without_time_stamps_there_is_nothing_of_time()
     lu.assertEquals(run(messages, key, { lacks_times = true }), expected, key)
   end
   lu.assertEquals(run(messages, "late")[5], 50) -- with times it is
-end
-
-function T.test_clocks_at_the_ends_of_their_range()
-  lu.assertEquals(run({ motor(1, 1, { clock = -2 }), motor(2, 2, { clock = -1 }), motor(3, 3, { clock = 0 }),
-    motor(4, 4, { clock = -0.5 }) }, "reboot"), { "-", "-", "-", 0.5 })
-  lu.assertEquals(run({ motor(1, 1, { clock = -2e-9 }), motor(2, 2, { clock = -1e-9 }), motor(3, 3, { clock = 0 }) },
-    "stale"), { "-", "-", "-" })
-  local last = run({ motor(1, 1, { clock = 9007199 }), motor(2, 2, { clock = 9007199.000000001 }) })[2]
-  lu.assertEquals({ last.stale, last.reboot }, {})
 end
 
 -- A clock may be all that a message has; of a shorter payload it is not there.
@@ -242,27 +206,6 @@ function T.test_a_clock_at_the_end_of_a_message()
     found[i] = new_change or "-"
   end
   lu.assertEquals(found, { "-", "-", { reboot = 1 } })
-end
-
--- Every byte of it counts: where the next one begins, and at the lowest clock there is.
-function T.test_every_byte_of_a_clock()
-  for byte = 1, 7 do
-    local at = 2 ^ (8 * byte) / 1e9
-    local step = math.max(at / 2 ^ 20, 2e-8)
-    local found = run { motor(1, 1, { clock = at - step }), motor(2, 2, { clock = at + step }) }
-    lu.assertNil(found[2].reboot, byte)
-    lu.assertAlmostEquals(found[2].drift, 2 * step - 1, 1e-6 + at / 2 ^ 50)
-  end
-  lu.assertEquals(run({ motor(1, 1, { clock = -9223372036 }), motor(2, 2, { clock = 0 }) }, "reboot"), { "-", "-" })
-end
-
-function T.test_flags_that_rise_and_fall()
-  local changes = run { motor(1, 1, { status = 3 }), motor(2, 2, { status = 6, fault = 0x80000001 }),
-    motor(3, 3, { status = 6, fault = 0x80000001 }), motor(4, 4, { status = 6, fault = 0x10 }) }
-  lu.assertNil(changes[1].flags)
-  lu.assertEquals(changes[2].flags, { change(STATUS, 6, 4, 1), change(FAULT, 0x80000001, 0x80000001, 0) })
-  lu.assertNil(changes[3].flags)
-  lu.assertEquals(changes[4].flags, { change(FAULT, 0x10, 0x10, 0x80000001) })
 end
 
 -- A fault is one table from its rise to its fall.  A flag of two bits is one fault: it stays set from 1 to 2.
@@ -300,12 +243,6 @@ function T.test_a_fault_across_a_step_back()
     motor(4, 10, { fault = 1 }) }, "active_time")[3], "-")
 end
 
-function T.test_since_when_the_oldest_alarm_is_set()
-  lu.assertEquals(run({ motor(1, 1), motor(2, 2, { fault = 1 }), motor(3, 3, { fault = 3 }), motor(4, 4, { fault = 2 }),
-    motor(5, 5, { fault = 0 }), motor(6, 6, { fault = 1 }), motor(7, 7, { fault = 1, clock = 0 }) }, "active_time"),
-    { "-", 0, 1, 1, "-", 0, 1 })
-end
-
 function T.test_a_message_that_is_not_good_changes_nothing()
   local messages = { motor(1, 1), motor(2, 2, { fault = 1, seq = 9, clock = 0, ends = "bad" }), motor(3, 3),
     motor(4, 4, { fault = 1 }) }
@@ -313,15 +250,6 @@ function T.test_a_message_that_is_not_good_changes_nothing()
   lu.assertEquals(changes[2], { delta = 1 }) -- and nothing stands there
   lu.assertEquals({ changes[3].flags, changes[3].missing, changes[3].reboot }, {})
   lu.assertEquals(changes[4].flags[1].raised, 1)
-end
-
-function T.test_a_payload_that_does_not_fit_has_no_flags_and_no_clock()
-  local odd = motor(2, 2)
-  odd.raws = nil
-  local changes = run { motor(1, 1, { fault = 1 }), odd, motor(3, 3) }
-  lu.assertEquals(changes[2].delta, 1)
-  lu.assertEquals({ changes[2].flags, changes[2].drift }, {})
-  lu.assertEquals(changes[3].flags[1].cleared, 1)
 end
 
 function T.test_links_to_the_changes_before_and_after()

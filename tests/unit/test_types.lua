@@ -221,41 +221,6 @@ function T.test_columns_of_derived_values()
   lu.assertEquals(row_of(m, "\7"), "7,,,")
 end
 
--- Of two compressed floats the value is made from source: it is that of the general way.
-function T.test_cells_of_derived_floats()
-  local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 4,
-    derived = { { "p", "a * b", "P" }, { "s", "a + c", "S" }, { "n", "b - a", "N" }, { "l", "c * c", "L" } },
-    { "a", "float8", "A", min = -1.3, max = 2.5 }, { "b", "float16", "B", min = -7, max = 9.1 },
-    { "c", "float8", "C", min = 0, max = 1e305 } } }
-  lu.assertEquals(problems, {})
-  local m, compared = compiled.messages[1], 0
-  for _, a in ipairs { "00", "01", "7f", "fa", "fb", "ff" } do
-    for _, rest in ipairs { "000000", "0180fa", "faff80", "ffff01", "0080", "fbffff" } do
-      local payload = bytes(a .. rest)
-      local row, raws = row_of(m, payload), m.read(payload)
-      local cells = {}
-      for i, item in ipairs(m.derived) do
-        local value = field_kinds.value(item, raws)
-        cells[i] = value and field_kinds.text(item, raws) or ""
-        if value then compared = compared + 1 end
-      end
-      lu.assertEquals(row:match("[^,]*,[^,]*,[^,]*,[^,]*$"), table.concat(cells, ","))
-    end
-  end
-  lu.assertEquals(row_of(m, bytes "000000fa"):match("[^,]*,[^,]*$"), "-5.7,", "1e305 * 1e305 is too large")
-  lu.assertTrue(compared > 40, compared)
-end
-
--- Seven digits, no infinity, and no integer of Lua 5.4 that wraps around.
-function T.test_products_of_large_numbers()
-  local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 20,
-    derived = { { "u", "a * b", "U" }, { "f", "c * c", "F" } },
-    { "a", "uint32", "A" }, { "b", "uint64", "B" }, { "c", "float64", "C" } } }
-  local m = compiled.messages[1]
-  lu.assertEquals(generated(m, ("ff"):rep(12) .. "9a9999999999b93f"), { 7.922816e28, 0.01 })
-  lu.assertEquals(generated(m, "0200000003000000" .. "00000000" .. "ffffffffffffef7f"), { 6, "-" })
-end
-
 -- Every length from min_size up to size: what does not fit wholly is not there, in nothing that shows it.
 function T.test_payloads_that_are_shorter()
   local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 17, min_size = 1,
@@ -273,19 +238,6 @@ function T.test_payloads_that_are_shorter()
   for length, text in pairs(infos) do
     local raws = m.read(payload:sub(1, length))
     lu.assertEquals({ m.info(raws), text_of.faults(m, raws) }, { text, "" })
-  end
-end
-
--- What a payload does not have is neither undefined nor a fault, and is 0 nowhere.
-function T.test_nothing_is_remarkable_in_what_is_absent()
-  local m = message(3, { "a", "uint8", "A", values = {} }, { "b", "uint8", "B", values = { [1] = "One" } },
-    { "c", "uint8", "C", group = "g", alarm = "FAULT", flags = { { "x", 1, "X" } } })
-  for length, experts in pairs { [0] = {}, { "value.invalid" }, { "value.invalid" },
-    { "value.invalid", "fault.active" } } do
-    local _, remarks = m.read(("\1"):rep(length))
-    local found = {}
-    for i, remark in ipairs(remarks or {}) do found[i] = remark[2] end
-    lu.assertEquals({ found, remarks and remarks.has_fault }, { experts, length > 0 and (length == 3 or nil) })
   end
 end
 
@@ -368,30 +320,6 @@ function T.test_info_of_every_kind()
   payload = bytes("ff" .. "97ff" .. "02" .. "616263" .. "00ff" .. "ffffffff") .. payload:sub(14)
   lu.assertEquals(m.info((m.read(payload))),
     "-1 -10.5 invalid 0x2 abc 00ff NaN 9007199254740992 1.000000000 s")
-end
-
--- A time may be the last of a payload.
-function T.test_info_of_a_time_at_the_end()
-  local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 8, info = "{t}",
-    { "t", "int64_ns", "T" } } }
-  local m, payload = compiled.messages[1], bytes("00ca9a3b00000000")
-  lu.assertEquals(m.info((m.read(payload))), "1.000000000 s")
-  lu.assertEquals(m.info((m.read(""))), "-")
-end
-
-function T.test_many_fields_of_every_kind()
-  local rows, size = {}, 0
-  for i = 1, 1024 do
-    local kind = ({ "uint8", "float16", "uint64", "float32" })[i % 4 + 1]
-    rows[i] = { "f" .. i, kind, "F", min = kind == "float16" and 0 or nil, max = kind == "float16" and 1 or nil }
-    size = size + ({ 1, 2, 8, 4 })[i % 4 + 1]
-  end
-  local m = message(size, (table.unpack or unpack)(rows)) -- luacheck: ignore
-  lu.assertEquals(select(2, text_of.row_writer(m)(("\1"):rep(size)):gsub(",", "")), #text_of.columns(m) - 1)
-end
-
-function T.test_a_message_of_padding_only()
-  lu.assertEquals(text_of.row_writer(message(9, { "p", "padding", length = 9 }))(("x"):rep(9)), "")
 end
 
 return T
