@@ -347,7 +347,8 @@ if gui_enabled() then
   make_statistics()
   stat:register_menus()
   local show_menu = require "yapp.show.menu"
-  show_menu.register(yapp.prefs, catalogue, stat.show)
+  -- COMPAT 4.0: no register_packet_menu.
+  if register_packet_menu then show_menu.register(yapp.prefs, catalogue, stat.show) end
 end
 for name, proto in pairs {
   ["can.subdissector"] = all,

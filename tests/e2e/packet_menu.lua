@@ -11,12 +11,6 @@ _G.copy_to_clipboard = io.write
 _G.new_dialog = function(_, _, row) io.write(row.value, "\n") end
 _G.retap_packets = coroutine.yield -- until all packets have been read
 
--- Wireshark puts a function that fails in the place of register_menu when all scripts are loaded.
-local function register(...)
-  _G.register_menu = function(title, act) items[title:match("/(.*)$")] = act end
-  show_menu.register(...)
-end
-
 local function new_tap(...)
   local tap = new_listener(...)
   return setmetatable({ remove = function() end }, { __newindex = function(_, name, value) tap[name] = value end })
@@ -24,7 +18,7 @@ end
 
 -- -z yappmenu,copy: each packet
 register_stat_cmd_arg("yappmenu,copy", function()
-  register({}, { messages = {} })
+  show_menu.register({}, { messages = {} })
   _G.Listener = { new = new_tap }
   for number = 1, 11 do
     copies[number] = coroutine.wrap(items["Copy message as candump"])
@@ -36,34 +30,18 @@ register_stat_cmd_arg("yappmenu,copy", function()
   end
 end)
 
--- -z yappmenu,all: all unknown IDs that have the size of a message
-register_stat_cmd_arg("yappmenu,all", function()
-  local fault = { filter = "taurus.motor.fault_flags" }
-  local motor = { name = "motor", title = "Motor Data", alarms = {}, fault_field = fault }
-  local health = { name = "health", title = "Health", alarms = {} }
-  register({ motor_ids = "0x300", health_ids = "0x301" }, { messages = { motor, health } })
-  _G.Listener = { new = new_tap }
-  _G.set_preference = function(name, value) io.write(name, ":", value, "\n") end
-  _G.apply_preferences, _G.redissect_packets = function() end, function() end
-  _G.report_failure = function(text) io.write(text, "\n") end
-  local decode = coroutine.wrap(items["Decode unknown IDs by size"])
-  decode()
-  local last = new_listener("frame")
-  function last.draw() decode() end
-end)
-
 -- -z yappmenu,needs: which field each item that filters needs
 register_stat_cmd_arg("yappmenu,needs", function()
   local needs = {}
   _G.register_packet_menu = function(title, _, field) needs[#needs + 1] = title .. "=" .. field end
   local message = { name = "motor", title = "Motor Data", alarms = { { filter = "taurus.motor.fault_flags" } } }
-  register({}, { messages = { message } })
+  show_menu.register({}, { messages = { message } })
   io.write(table.concat(needs, "\n"), "\n")
 end)
 
 -- The controller 0x210 of a bus, and the preference yapp.sources, of each line of a text
 for bus, sources in (os.getenv("YAPP_MENU")):gmatch("([^\n]*)|([^\n]*)") do
-  register({ sources = sources }, { messages = { { name = "motor", title = "Motor Data", alarms = {} } } })
+  show_menu.register({ sources = sources }, { messages = { { name = "motor", title = "Motor Data", alarms = {} } } })
   local name = items["Name this controller ..."]
   if bus == "" then
     name({ name = "yapp.id", value = 0x210 })

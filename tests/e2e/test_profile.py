@@ -82,10 +82,10 @@ def test_shape_of_the_tables():
 def test_columns(home):
     done = run(home, "-r", tshark.CAPTURES / "serial/document_uart.pcap", "-T", "psml")
     titles = re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[0])
-    assert titles == ["No.", "Time", "Source", "RPM", "Commanded", "Voltage", "Current", "Power", "Motor °C", "State", "Info"]
+    assert titles == ["No.", "Time", "Source", "RPM", "Commanded RPM", "Voltage V", "Current A", "Power W", "Motor °C", "State", "Info"]
     values = dict(zip(titles, re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[1])))
-    assert (values["Voltage"], values["RPM"]) == ("47.97", "0")
-    assert float(values["Power"]) == round(float(values["Voltage"]) * float(values["Current"]))
+    assert (values["Voltage V"], values["RPM"]) == ("47.97", "0")
+    assert float(values["Power W"]) == round(float(values["Voltage V"]) * float(values["Current A"]))
     assert values["Source"].endswith("0x210") and values["State"] == "ready, stopped"
 
 

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Wireshark's windows: it decodes, filters and shows the tree; no error dialog at load, after reloading Lua plugins, after
 opening another file."""
+import os
 import pathlib
+import re
 import shutil
 import sys
+import threading
 import time
 
 import pytest
@@ -309,6 +312,47 @@ def test_what_stays_and_what_goes(captures, buses):
         assert alive.read_text() == "0"
         wireshark.wait_for_window("YAPP Help")
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+
+
+def test_an_open_window_follows_a_live_capture(captures):
+    """By itself, once packets have come; each counts once, although more come while it reads."""
+    fifo, path = captures / "live", captures / "first.pcapng"
+    os.mkfifo(fifo, 0o666)
+    os.chmod(fifo, 0o666)
+    data = path.read_bytes()
+    parts = [data[at:at + 3000] for at in range(0, len(data), 3000)]
+
+    def feed():
+        with open(fifo, "wb", buffering=0) as file:
+            for part in parts:
+                file.write(part)
+                time.sleep(0.3)
+            time.sleep(20)
+
+    threading.Thread(target=feed, daemon=True).start()
+    with gui.Wireshark("-o", "statistics.update_interval:1000", "-k", "-i", fifo) as wireshark:
+        wireshark.wait_for_window("Capturing")
+        choose(wireshark, "Summary")
+        text_of(wireshark, "YAPP Summary", "YAPP summary")
+        text = text_of(wireshark, "YAPP Summary", "in 11.9")
+        assert "went back" not in text and re.search(r"0x210 +Motor Data +120 ", text), text
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+
+
+def test_unknown_ids_are_decoded_and_the_way_back(captures):
+    with gui.Wireshark("-o", "yapp.motor_ids:0x300", "-r", captures / "first.pcapng") as wireshark:
+        wireshark.wait_for_window("first.pcapng")
+        choose(wireshark, "Faults")
+        text = text_of(wireshark, "YAPP Faults", "YAPP faults")
+        assert "YAPP faults: UNKNOWN, 2 of 6 sources not decoded, 0 in what was decoded\n" in text
+        assert "Tools > YAPP > Decode unknown IDs by size decodes them" in text and "-o yapp" not in text
+        wireshark.keys("Escape")
+        wireshark.wait_for_window("first.pcapng")
+        choose(wireshark, "Decode unknown IDs by size")
+        text = text_of(wireshark, "YAPP Decode", "yapp.motor_ids")
+        assert "yapp.motor_ids was 0x300, and is now\n  0x210,0x300\n" in text, text
+        wireshark.click("Undo")
+        text_of(wireshark, "YAPP Decode", "The preferences are as they were")
 
 
 @pytest.mark.parametrize("options", [[], ["-o", "yapp.all_extended:TRUE"]], ids=["", "all_extended"])

@@ -6,7 +6,8 @@ local lu = require("luaunit")
 
 local T = {}
 
-local NAMES = { "register_menu", "new_dialog", "TextWindow", "report_failure", "set_filter", "apply_filter",
+local NAMES = { "set_preference", "apply_preferences", "redissect_packets", "yapp_is_whole",
+  "register_menu", "new_dialog", "TextWindow", "report_failure", "set_filter", "apply_filter",
   "copy_to_clipboard", "MENU_TOOLS_UNSORTED", "MENU_STAT_UNSORTED" }
 -- The entries of Tools > YAPP in their order, what each opens, and whether it asks first: typed once more.
 local OPENS = { { "Summary", "yapp,summary" }, { "Faults", "yapp,faults" }, { "Fault", "yapp,fault", true },
@@ -18,7 +19,8 @@ local seen -- what the plugin asked of the windows
 
 -- A menu with stand-ins for Wireshark's windows.
 local function menu()
-  seen = { items = {}, order = {}, windows = {}, dialogs = {}, runs = {}, failures = {}, filters = {}, applied = 0 }
+  seen = { items = {}, order = {}, windows = {}, dialogs = {}, runs = {}, failures = {}, filters = {}, applied = 0,
+    set = {} }
   _G.MENU_TOOLS_UNSORTED, _G.MENU_STAT_UNSORTED = "tools", "statistics"
   function _G.register_menu(title, act, group)
     seen.items[title] = { act = act, group = group }
@@ -29,6 +31,9 @@ local function menu()
   function _G.set_filter(text) seen.filters[#seen.filters + 1] = text end
   function _G.apply_filter() seen.applied = seen.applied + 1 end
   function _G.copy_to_clipboard(text) seen.copied = text end
+  function _G.set_preference(name, value) seen.set[name] = value end
+  function _G.apply_preferences() end
+  function _G.redissect_packets() end
   _G.TextWindow = { new = function(title)
     local window = { title = title, buttons = {}, names = {} }
     function window.set(self, text) self.text = text end
@@ -77,7 +82,7 @@ function T.test_each_entry_opens_its_statistic()
     lu.assertEquals(last(seen.windows).title, "YAPP " .. title)
     lu.assertEquals(last(seen.windows).text, ("%s, run %d"):format(argument, #seen.runs))
   end
-  lu.assertEquals(#seen.order, #OPENS + 2) -- Help, and the one in Statistics
+  lu.assertEquals(#seen.order, #OPENS + 3) -- Decode unknown IDs, Help, and the one in Statistics
 end
 
 function T.test_what_an_entry_asks_for()
@@ -147,17 +152,45 @@ function T.test_refresh_and_copy()
   lu.assertEquals(seen.copied, "yapp,events, run 2")
 end
 
--- Once, so that the window does not scroll while somebody reads; not in what is copied.
-function T.test_a_window_says_how_old_it_is()
+-- While a capture goes on.  The reading of a long one would keep Wireshark busy.
+function T.test_a_window_is_refreshed_when_packets_have_come()
   local show, stat, on_packets = menu()
+  local clock, seconds = os.clock, 0
+  rawset(os, "clock", function()
+    seconds = seconds + (stat.is_slow and 0.6 or 0.1)
+    return seconds
+  end)
   show("yapp,events")
   local window = last(seen.windows)
   on_packets()
   lu.assertEquals(window.text, "yapp,events, run 1") -- nothing has come
   stat.total = 11
   on_packets()
-  local said = "Packets have come since this was read at %d%d:%d%d:%d%d: press Refresh\n\n"
-  lu.assertStrMatches(window.text, said .. "yapp,events, run 1")
+  lu.assertEquals(window.text, "yapp,events, run 2")
+  stat.total, stat.is_reading = 12, true -- for another window
+  on_packets()
+  lu.assertEquals(window.text, "yapp,events, run 2")
+  stat.is_reading, stat.is_slow = false, true
+  on_packets()
+  stat.total = 13
+  on_packets()
+  lu.assertEquals(window.text, "yapp,events, run 4")
+  rawset(os, "clock", clock)
+end
+
+-- Once, so that the window does not scroll while somebody reads; not in what is copied.
+function T.test_a_window_says_that_it_is_old()
+  local show, stat, on_packets = menu()
+  local clock, seconds = os.clock, 0
+  rawset(os, "clock", function()
+    seconds = seconds + 2
+    return seconds
+  end)
+  show("yapp,events")
+  local window = last(seen.windows)
+  stat.total = 11
+  on_packets()
+  lu.assertEquals(window.text, "More packets have come: press Refresh\n\nyapp,events, run 1")
   window.text = "as it was"
   stat.total = 12
   on_packets()
@@ -171,6 +204,44 @@ function T.test_a_window_says_how_old_it_is()
   stat.total = nil -- nobody asks for it
   on_packets()
   lu.assertEquals(window.text, "yapp,events, run 2")
+  rawset(os, "clock", clock)
+end
+
+-- What to do fits the place: Wireshark has menus, the page in the browser a button.
+function T.test_advice()
+  local show, stat = menu()
+  function stat.run()
+    return "5 messages were not decoded: 0x211. Try -o yapp.motor_ids:0x210-0x211 -o yapp.health_ids:0x200-0x201\n" ..
+      "YAPP headers were not decoded; try -d udp.port==5,yapp_serial\n", {}
+  end
+  show("yapp,faults")
+  lu.assertEquals(last(seen.windows).text, "5 messages were not decoded: 0x211. Tools > YAPP > " ..
+    "Decode unknown IDs by size decodes them\n" ..
+    "YAPP headers were not decoded; choose in Analyze > Decode As: udp.port==5,yapp_serial\n")
+  _G.yapp_is_whole = true
+  show("yapp,faults")
+  lu.assertStrContains(last(seen.windows).text, "Try -o yapp.motor_ids")
+end
+
+function T.test_decode_unknown_ids()
+  local _, stat = menu()
+  local decode = seen.items["YAPP/Decode unknown IDs by size"].act
+  local answer = "5 messages were not decoded: 0x213. Try -o yapp.motor_ids:0x210-0x213 -o yapp.my_pump_ids:0x1\n"
+  stat.settings = { ids = { motor = { 0x211, 0x210 }, my_pump = {} } }
+  function stat.run(_, text) return text == "yapp,faults,json" and answer end
+  decode()
+  local before = { ["yapp.motor_ids"] = "0x210-0x211", ["yapp.my_pump_ids"] = "" }
+  lu.assertEquals(seen.set, { ["yapp.motor_ids"] = "0x210-0x213", ["yapp.my_pump_ids"] = "0x1" })
+  lu.assertStrContains(last(seen.windows).text, "yapp.motor_ids was 0x210-0x211, and is now\n  0x210-0x213\n")
+  last(seen.windows).buttons.Undo()
+  lu.assertEquals(seen.set, before)
+  lu.assertStrContains(last(seen.windows).text, "as they were")
+  answer = "YAPP faults: 0\n"
+  decode()
+  lu.assertEquals(seen.failures, { "YAPP: no message of an unknown ID has the size of a message in the catalogue" })
+  answer = "only 0 of 7 packets were read, as another window read: press Refresh\n"
+  decode()
+  lu.assertStrContains(last(seen.failures), "YAPP: only 0 of 7")
 end
 
 -- A reading takes seconds: until there is an answer, the window says how far it is.  It may be closed meanwhile.

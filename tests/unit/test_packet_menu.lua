@@ -28,8 +28,6 @@ local function menu(prefs)
     seen.items[title] = act
     seen.fields[title] = (seen.fields[title] and seen.fields[title] .. " " or "") .. field
   end
-  function _G.register_menu(title, act, group) seen.tools, seen.by_size = title .. " " .. group, act end
-  _G.MENU_TOOLS_UNSORTED = "tools"
   for _, name in ipairs { "set_filter", "apply_filter", "set_preference", "apply_preferences", "redissect_packets" } do
     _G[name] = note(name)
   end
@@ -67,75 +65,12 @@ function T.test_the_card_of_a_fault()
   lu.assertEquals(seen.shown, "yapp,fault,frame=7")
 end
 
--- In 4.0, which has no menu of a packet, too.
-function T.test_the_entry_in_tools()
-  menu({ sources = "" })
-  lu.assertEquals(seen.tools, "YAPP/Decode unknown IDs by size tools")
-end
-
--- Choose Decode unknown IDs by size.  A tap that stays would build trees for ever.
--- packets  how many the taps get
-local function decode_by_size(packets)
-  local taps, filters = {}, {}
-  menu({ sources = "" })
-  _G.Listener = { new = function(_, filter)
-    local tap = { filter = filter }
-    function tap.remove() taps[tap] = nil end
-    taps[tap], filters[#filters + 1] = true, filter
-    return tap
-  end }
-  function _G.retap_packets()
-    for _ = 1, packets do for tap in pairs(taps) do tap.packet() end end
-  end
-  function _G.all_field_infos() end
-  function _G.report_failure(text) seen.failure = text end
-  seen.by_size()
-  lu.assertEquals(filters, { "frame || yapp.like.motor || yapp.like.pump || yapp.like.health" })
-  lu.assertEquals({ next(taps), seen.done }, { nil, {} })
-end
-
-function T.test_no_message_has_the_size_of_one()
-  decode_by_size(3)
-  lu.assertStrContains(seen.failure, "YAPP: no message of an unknown ID has the size")
-end
-
--- Another window reads, or the entry was chosen twice: that is no answer.
-function T.test_the_packets_could_not_be_read()
-  decode_by_size(0)
-  lu.assertStrContains(seen.failure, "YAPP: no packet was read")
-end
-
 -- Names as a display filter writes them.
 function T.test_names_with_quotes()
   menu({ sources = "" })
   seen.items["YAPP/Only this controller"]({ name = "yapp.source", value = 'a "b" \\c' }, { name = "yapp.source",
     value = "d" })
   lu.assertEquals(seen.done[1], [[set_filter yapp.source in {"a \"b\" \\c","d"}]])
-end
-
-function T.test_decode_all_ids_of_this_size()
-  menu({ sources = "", motor_ids = "0x210", pump_ids = "" })
-  local taps, fields = {}, nil
-  _G.Listener = { new = function(_, filter)
-    local tap = { filter = filter }
-    function tap.remove() taps[tap] = nil end
-    taps[tap] = true
-    return tap
-  end }
-  function _G.all_field_infos() return { name = "ip.src", value = 9 }, fields end
-  function _G.retap_packets()
-    for _, one in ipairs { { "motor", 0x300 }, { "motor", 0x215 }, { "motor", 0x300 }, { "pump", 7 } } do
-      fields = { name = "yapp.like." .. one[1], value = one[2] }
-      for tap in pairs(taps) do
-        if tap.filter:find(fields.name, 1, true) then tap.packet() end
-      end
-    end
-  end
-  seen.by_size()
-  lu.assertNil(next(taps))
-  table.sort(seen.done)
-  lu.assertEquals(seen.done, { "apply_preferences", "redissect_packets", "set_preference yapp.motor_ids 0x210,768,533",
-    "set_preference yapp.pump_ids ,7" })
 end
 
 -- A record of SocketCAN at offset 2: id and flags, length, flags of CAN FD, two bytes, data.

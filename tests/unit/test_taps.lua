@@ -212,6 +212,22 @@ function T.test_a_window_while_another_one_reads()
   lu.assertEquals({ frames, seen.added[2].what }, { {}, "faults" })
 end
 
+-- Of a live capture: Wireshark dissects a new packet, and revisits it when its turn comes.
+function T.test_packets_that_come_while_it_reads()
+  local stat = window()
+  function _G.retap_packets()
+    for _, number in ipairs { 1, 2, 5, 3, 4, 5 } do
+      for tap in pairs(seen.taps) do
+        if tap.packet and tap.filter ~= ERROR_FRAMES then
+          tap.packet({ number = number, rel_ts = number / 10 }, {})
+        end
+      end
+    end
+  end
+  stat:run("yapp,faults")
+  lu.assertEquals(seen.queue.packets, 5)
+end
+
 -- Another one that reads resets all taps, although Wireshark goes on with this reading.
 local function count_of(list, method)
   local count = 0

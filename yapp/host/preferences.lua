@@ -34,6 +34,14 @@ function M.complain_once(texts)
   M.complain(new)
 end
 
+--- Set preferences, in Wireshark.
+-- values  { [name without "yapp."] = value }
+function M.set(values)
+  for name, value in pairs(values) do set_preference("yapp." .. name, value) end
+  apply_preferences()
+  redissect_packets()
+end
+
 --- Return whether M.complain_once has shown a text.
 function M.has_said(text)
   return is_said[text] or false

@@ -113,19 +113,20 @@ end
 
 local latest_names = memo(function() return {} end) -- [field] = { raw, names }: they seldom change
 
---- Return the filter names of the flags that are set, undefined bits as one number:
--- "motor_overcurrent, hall_timeout, undefined 0x80000".
+--- Return the filter names of the flags that are set, faults first, undefined bits as one number:
+-- "faulted, running, undefined 0x80".
 function M.flag_names(field, raw)
   if raw == 0 then return "" end
   local latest = latest_names[field]
   if latest.raw == raw then return latest.names end
-  local names = {}
+  local faults, others = {}, {}
   for _, flag in ipairs(field.flags) do
+    local names = band(flag.mask, field.alarm_bits) ~= 0 and faults or others
     if band(raw, flag.mask) ~= 0 then names[#names + 1] = flag.name end
   end
   local undefined = band(raw, field.undefined)
-  if undefined ~= 0 then names[#names + 1] = format("undefined 0x%x", undefined) end
-  latest.raw, latest.names = raw, concat(names, ", ")
+  if undefined ~= 0 then others[#others + 1] = format("undefined 0x%x", undefined) end
+  latest.raw, latest.names = raw, concat(joined(faults, others), ", ")
   return latest.names
 end
 

@@ -1,13 +1,10 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The submenu YAPP in the menu of a packet, from Wireshark 4.4 on, and an entry of Tools > YAPP.
--- Wireshark's API.
+-- The submenu YAPP in the menu of a packet, from Wireshark 4.4 on.  Wireshark's API.
 
+local preferences = require "yapp.host.preferences"
 local source_names = require "yapp.message.sources"
 
 local M = {}
-
-local UNREAD = "YAPP: no packet was read, as no capture is open, or Wireshark still reads it: " ..
-  "wait for the end, and try again"
 
 local FAULTS = "yapp.source in {%s} && (taurus.fault.raised || taurus.fault.cleared)"
 -- Title, the display filter that the values of a field and the packet's number make, and the field,
@@ -38,13 +35,6 @@ local function add_item(title, name, act)
     end
     act(values)
   end, name)
-end
-
--- Set preferences: { [name without "yapp."] = value }.
-local function set_preferences(values)
-  for name, value in pairs(values) do set_preference("yapp." .. name, value) end
-  apply_preferences()
-  redissect_packets()
 end
 
 -- Return the bus of a packet; nil without one.
@@ -87,33 +77,8 @@ local function ask_name(values, sources, catalogue)
     sources = sources .. (sources == "" and "" or ", ") .. source_names.address_text(bus, id) .. "="
   end
   new_dialog("YAPP Name this controller", function(answer)
-    if not answer:find("=%s*$") then set_preferences { sources = answer } end
+    if not answer:find("=%s*$") then preferences.set { sources = answer } end
   end, { name = "Names of sources", value = sources })
-end
-
--- Decode all unknown IDs of the capture that have the size of a message as that message.
-local function decode_by_size(prefs, messages)
-  local types, terms, values, is_known, is_read = {}, { "frame" }, {}, {}, false
-  for _, message_type in ipairs(messages) do
-    local field = "yapp.like." .. message_type.name
-    types[field], terms[#terms + 1] = message_type, field
-  end
-  local tap = Listener.new("frame", table.concat(terms, " || "))
-  function tap.packet()
-    is_read = true -- no packet comes if Wireshark reads the file for another reason
-    for _, info in ipairs { all_field_infos() } do
-      local message_type, id = types[info.name], info.value
-      if message_type and not is_known[id] then
-        local name = message_type.name .. "_ids"
-        is_known[id], values[name] = true, (values[name] or prefs[name]) .. "," .. id
-      end
-    end
-  end
-  retap_packets()
-  tap:remove()
-  if not is_read then return report_failure(UNREAD) end
-  if next(values) then return set_preferences(values) end
-  report_failure("YAPP: no message of an unknown ID has the size of a message in the catalogue")
 end
 
 -- Add an item that filters, for packets with a field.
@@ -125,8 +90,11 @@ local function add_filter(row, field)
   end)
 end
 
--- COMPAT 4.0: no register_packet_menu.
-local function register_of_packet(prefs, catalogue, show_statistic)
+--- Make the items, from Wireshark 4.4 on.
+-- prefs      of yapp
+-- catalogue  compiled
+-- show_statistic  function(text), opens the window of an argument of -z
+function M.register(prefs, catalogue, show_statistic)
   local fault_fields = {}
   for _, message_type in ipairs(catalogue.messages) do
     local field = message_type.fault_field or message_type.alarms[1]
@@ -138,7 +106,7 @@ local function register_of_packet(prefs, catalogue, show_statistic)
   for _, message_type in ipairs(catalogue.messages) do
     local ids, like = message_type.name .. "_ids", "yapp.like." .. message_type.name
     add_item("Decode this ID as " .. message_type.title, like, function(values)
-      set_preferences { [ids] = prefs[ids] .. "," .. values[like] }
+      preferences.set { [ids] = prefs[ids] .. "," .. values[like] }
     end)
   end
   add_item("Name this controller ...", "yapp.id", function(values)
@@ -149,17 +117,6 @@ local function register_of_packet(prefs, catalogue, show_statistic)
     local frame = values["yapp.reassembled.in"] or values["frame.number"]
     show_statistic("yapp,fault,frame=" .. frame)
   end)
-end
-
---- Make the menus.
--- prefs      of yapp
--- catalogue  compiled
--- show_statistic  function(text), opens the window of an argument of -z
-function M.register(prefs, catalogue, show_statistic)
-  if register_packet_menu then register_of_packet(prefs, catalogue, show_statistic) end
-  register_menu("YAPP/Decode unknown IDs by size", function()
-    decode_by_size(prefs, catalogue.messages)
-  end, MENU_TOOLS_UNSORTED)
 end
 
 return M

@@ -100,6 +100,8 @@ local function tap_packets(self)
 
   -- Every packet comes here, so nothing else is called that need not be.
   function tap.packet(pinfo, tvb)
+    -- Packets that come while Wireshark revisits those of a live capture are revisited, too.
+    if not IS_TSHARK and pinfo.number ~= self.current.packets + 1 then return end
     calls.begun = calls.begun + 1
     if headers.waiting then headers:on_packet(pinfo, tvb) end
     local wants = is_waiting and asker.first_pass -- known once a packet has YAPP

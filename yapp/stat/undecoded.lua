@@ -91,8 +91,8 @@ end
 
 -- Preferences -------------------------------------------------------------------------------------
 
--- "0x210-0x213,0x300"
-local function ranges_of(ids)
+--- Return IDs, which it sorts, as a preference has them: "0x210-0x213,0x300".
+function M.ranges_of(ids)
   local texts, first = {}, nil
   table.sort(ids)
   for i, id in ipairs(ids) do
@@ -128,7 +128,7 @@ local function advice_of(self)
     local list = ids[message_type]
     if list[1] then
       for _, id in ipairs(settings.ids[message_type.name]) do list[#list + 1] = id end
-      texts[#texts + 1] = ("-o yapp.%s_ids:%s"):format(message_type.name, ranges_of(list))
+      texts[#texts + 1] = ("-o yapp.%s_ids:%s"):format(message_type.name, M.ranges_of(list))
     end
   end
   return texts[1] and ". Try " .. table.concat(texts, " ") or ""

@@ -1,18 +1,26 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, and help.
--- Wireshark's API.
+-- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, the decoding
+-- of unknown IDs, and help.  Wireshark's API.
 
 local joined = require "yapp.base.joined"
 local options_of = require "yapp.stat.options"
 local output = require "yapp.stat.output"
+local preferences = require "yapp.host.preferences"
 local rules_of = require "yapp.stat.rules"
+local undecoded = require "yapp.stat.undecoded"
 
 local M = {}
 
 local MAX_FRAMES = 1000 -- in a display filter: more make Wireshark slow
 
+local MAX_SECONDS = 1 -- of reading: a window that takes longer is not refreshed by itself
 local READING = "Reading: %d of %d packets\n"
-local OLD = "Packets have come since this was read at %s: press Refresh\n\n"
+local OLD = "More packets have come: press Refresh\n\n"
+local DECODE = "Decode unknown IDs by size"
+local ADVICE = ". Tools > YAPP > " .. DECODE .. " decodes them"
+local DECODED = "yapp.%s was %s, and is now\n  %s\n"
+local UNDONE = "The preferences are as they were.\n"
+local NOTHING_UNKNOWN = "no message of an unknown ID has the size of a message in the catalogue"
 
 local HELP = [[
 YAPP, the packet protocol of Taurus motor controllers, on CAN, CAN FD,
@@ -83,13 +91,20 @@ end
 -- [window] = function(), called when packets have come, of the windows that are open.
 local on_packets_of = {}
 
+-- Return an answer with advice that fits Wireshark; the page in the browser has buttons.
+local function with_menus(answer)
+  if yapp_is_whole then return answer end
+  answer = answer:gsub("%. Try %-o [^\n]*", ADVICE)
+  return (answer:gsub("; try %-d ", "; choose in Analyze > Decode As: "))
+end
+
 -- Open a window with a text.  Its buttons make the text anew, copy it, save it, show its frames.
 -- make  function(on_progress) -> the text, the frames; see Stat:run
 -- stat  of stat.taps
 local function open_window(title, make, stat)
   local window, content, frames = TextWindow.new("YAPP " .. title), nil, nil
-  local total, time = 0, "" -- of the reading
-  local is_old = true -- true if the note stands already, or the reading goes on
+  local total = math.huge -- of the reading; so many while it goes on, or if its text is old
+  local seconds = 0 -- that it took
   local is_closed = false -- a closed window takes no text; the reading may go on without it
   local function set_text(text)
     if not is_closed then window:set(text) end
@@ -97,24 +112,30 @@ local function open_window(title, make, stat)
   local function on_progress(number)
     set_text(READING:format(number, stat.total))
   end
-  local function refresh()
-    is_old = true
-    on_progress(0)
-    content, frames = make(on_progress)
-    total, time, is_old = stat.total, os.date("%H:%M:%S"), false
+  local function refresh(progress)
+    local begin = os.clock()
+    total = math.huge
+    content, frames = make(progress)
+    content = with_menus(content)
+    total, seconds = stat.total, os.clock() - begin
     set_text(content)
   end
-  -- Say once that the text is old: a new text makes a window scroll to its beginning.
+  local function refresh_by_hand()
+    on_progress(0)
+    refresh(on_progress)
+  end
+  -- A window whose reading takes long says once that it is old.
   on_packets_of[window] = function()
-    if is_old or stat.total <= total then return end
-    is_old = true
-    set_text(OLD:format(time) .. content)
+    if stat.total <= total then return end
+    if seconds < MAX_SECONDS then return refresh() end
+    total = math.huge
+    set_text(OLD .. content)
   end
   window:set_atclose(function()
     is_closed = true
     on_packets_of[window] = nil
   end)
-  window:add_button("Refresh", refresh)
+  window:add_button("Refresh", refresh_by_hand)
   window:add_button("Copy", function() copy_to_clipboard(content) end)
   window:add_button("Save", function()
     local path = default_path(title:lower():gsub(" ", "-") .. ".txt")
@@ -125,7 +146,28 @@ local function open_window(title, make, stat)
     end)
   end)
   window:add_button("Show frames", function() show_frames(frames) end)
-  refresh()
+  refresh_by_hand()
+end
+
+-- Decode all unknown IDs of the capture that have the size of a message as that message, and say
+-- so in a window, with a way back.
+local function decode_by_size(stat)
+  local answer, before, after, said = stat:run("yapp,faults,json"), {}, {}, ""
+  for name, ids in answer:gmatch("%-o yapp%.([%w_]+)_ids:(%S+)") do
+    local key = name .. "_ids"
+    before[key], after[key] = undecoded.ranges_of(stat.settings.ids[name]), ids
+    said = said .. DECODED:format(key, before[key], ids)
+  end
+  if said == "" then
+    return report_failure("YAPP: " .. (answer:match("only %d+ of[^\n]*") or NOTHING_UNKNOWN))
+  end
+  local window = TextWindow.new("YAPP " .. DECODE)
+  window:add_button("Undo", function()
+    preferences.set(before)
+    window:set(UNDONE)
+  end)
+  window:set(said)
+  preferences.set(after)
 end
 
 -- Hold the help window: Wireshark closes a window that Lua collects, and no button refers to this
@@ -171,11 +213,13 @@ function M.register(stat)
     end
     register_menu("YAPP/" .. row.title, action, MENU_TOOLS_UNSORTED)
   end
+  register_menu("YAPP/" .. DECODE, function() decode_by_size(stat) end, MENU_TOOLS_UNSORTED)
   register_menu("YAPP/Help", open_help, MENU_TOOLS_UNSORTED)
   -- Wireshark has submenus of plugins in Tools alone: elsewhere it shows a slash as it is.
   local function summary() show("yapp,summary") end
   register_menu("YAPP Summary (more: Tools > YAPP)", summary, MENU_STAT_UNSORTED)
   return show, function()
+    if stat.is_reading then return end
     for _, call in pairs(on_packets_of) do call() end
   end
 end
