@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The recipes of docs/tables.md, run in order as a user would, with the plugin in the personal folder."""
+"""The recipes of docs/tables.md and docs/compare.md, run in order as a user would, with the plugin installed."""
 
 import os
 import re
@@ -8,8 +8,11 @@ import sys
 import tomllib
 
 import flights
+import numpy as np
+import pairs
 import pytest
-from running import TOP, install_plugin
+import yapp_tables as yt
+from running import PLUGIN, TOP, install_plugin
 
 BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```", (TOP / "docs/tables.md").read_text(), re.M | re.S)
 
@@ -42,6 +45,44 @@ def test_recipe(folder, number):
     language, text = BLOCKS[number]
     printed = run(folder, language, text)
     assert language == "sh" or printed.strip()
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """What docs/compare.md speaks of: two runs, five flights, one controller on a thrust stand with its log."""
+    own = tmp_path_factory.mktemp("compare")
+    (own / "home/.config/wireshark").mkdir(parents=True)
+    install_plugin(own / "home")
+    (own / "home/.config/wireshark/preferences").write_text(
+        "yapp.motor_ids: 0x210,0x211\nyapp.health_ids: 0x200,0x201\n"
+    )
+    pairs.write(own / "before.pcapng", "a")
+    pairs.write(own / "after.pcapng", "b")
+    (own / "flights").mkdir()
+    for number in range(5):
+        pairs.write(own / f"flights/{number}.pcapng", f"trend {number}", (), 40.0, number * 3600.0)
+    with pytest.MonkeyPatch.context() as patch:
+        run = pairs.Motor.run
+        patch.setattr(pairs.Motor, "run", lambda self, *given: run(self, *given) if self.number == 0 else ())
+        pairs.write(own / "bench.pcapng", "bench", seconds=60)
+    motor = yt.read(own / "bench.pcapng", plugin=PLUGIN)["motor"]
+    times = motor["time"].cast("int64").to_numpy() / 1e9 - flights.START / 1e9
+    at = np.arange(3, 55, 0.05)
+    speeds = np.interp(at, times, motor["rpm_measured"].to_numpy())
+    lines = [f"{time - 3:.3f},{speed:.1f}" for time, speed in zip(at, speeds, strict=True)]
+    (own / "stand.csv").write_text("\n".join(["time,rpm", *lines, ""]))
+    return own
+
+
+COMPARED = re.findall(r"^```sh\n(.*?)^```", (TOP / "docs/compare.md").read_text(), re.M | re.S)
+
+
+@pytest.mark.parametrize("number", range(len(COMPARED)))
+def test_commands_of_the_comparison(compared, number):
+    printed = run(compared, "sh", COMPARED[number])
+    page = re.search(r"--out (\w+\.html)", COMPARED[number])
+    assert not page or "</html>" in (compared / page[1]).read_text()
+    assert printed.strip() or "--to parquet" in COMPARED[number]
 
 
 def test_recipes_keep_captures_that_name_no_bus(folder, tmp_path):

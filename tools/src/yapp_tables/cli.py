@@ -277,6 +277,6 @@ def _trend(given: argparse.Namespace) -> int:
 def _baseline(given: argparse.Namespace) -> int:
     captures = fleet.find(_captures(given.captures))
     text, left = baseline.learn(captures, _config(given), given.margin)
-    Path(given.out).write_text(text, encoding="utf-8")
+    write_whole(Path(given.out), text)
     _say([*left, f"{count_of(len(captures), 'flight')} in {given.out}"])
     return (FAILED if given.strict else INCOMPLETE) if left else 0

@@ -13,6 +13,7 @@ from .config import Config
 from .errors import SetupError
 from .install import Wireshark, source_folder
 from .palette import LIGHT
+from .scratch import write_whole
 
 FILES = ("io_graphs", "plots")
 Controller = tuple[str, str]  # its name, and the display filter of its messages
@@ -29,7 +30,7 @@ def write_graphs(captures: Sequence[Path], config: Config, out: Path | None) -> 
         raise SetupError(f"no Motor Data in {captures[0]}: nothing to draw")
     for name in FILES:
         text = (source_folder() / "profiles/YAPP" / name).read_text(encoding="utf-8")
-        (folder / name).write_text(of_each(text, controllers), encoding="utf-8")
+        write_whole(folder / name, of_each(text, controllers))
     return folder, [name for name, _ in controllers]
 
 

@@ -60,7 +60,9 @@ def minutes_left(source: Source, values: Array, high: float) -> float | None:
     The rise of the last minute is compared with that of the minute before: what slows down goes on to slow down.
     """
     good = np.isfinite(values)
-    times, known = (source.times[good] - source.times[-1]) / 60, values[good]
+    if not good.any():
+        return None
+    times, known = (source.times[good] - source.times[good][-1]) / 60, values[good]
     rates = []
     for begin in (-2.0, -1.0):
         use = (times > begin) & (times <= begin + 1)
@@ -78,8 +80,11 @@ def minutes_left(source: Source, values: Array, high: float) -> float | None:
     return float(np.log(slowed) / np.log(share)) if slowed > 0 else None
 
 
-def beyond(source: Source, values: Array, limits: tuple[float, float], column: Column) -> list[Record]:
-    """Say when a value was outside its limits first and last, how far at most, and for how long."""
+def beyond(source: Source, values: Array, limits: tuple[float, float], column: Column, flying: Array) -> list[Record]:
+    """Say when a value was outside its limits first and last, how far at most, and for how long.
+
+    flying: which samples are of the flight: only in flight it goes on to rise.
+    """
     found = []
     about = {"source": source.name, "field": column.name, "title": column.title, "unit": column.unit}
     for is_high, limit in ((False, limits[0]), (True, limits[1])):
@@ -91,10 +96,11 @@ def beyond(source: Source, values: Array, limits: tuple[float, float], column: C
             span = {"at": float(times[0]), "end": float(times[-1] + source.every), "word": word}
             found.append(about | span | {"kind": "limit", "value": value, "limit": limit,
                                          "seconds": float(out.sum() * source.every)})  # fmt: skip
-    left = minutes_left(source, values, limits[1])
+    rising = np.where(flying, values, np.nan)
+    left = minutes_left(source, rising, limits[1])
     if left is not None and left < 10 and not found:
-        at = float(source.times[-1])
-        now = float(values[np.isfinite(values)][-1])
+        last = np.flatnonzero(np.isfinite(rising))[-1]
+        at, now = float(source.times[last]), float(values[last])
         found.append(about | {"kind": "left", "at": at - 60, "end": at, "limit": limits[1], "value": now,
                               "seconds": left * 60})  # fmt: skip
     return found

@@ -136,7 +136,7 @@ class Matrix:
     ) -> None:
         """Measure a value of each source; none where it never had one."""
         values = part.values[column.name] if values is None else values
-        if "mean" in what:
+        if what in ("mean", "error mean", "minutes left"):  # of the flight
             values = [np.where(use, own, np.nan) for use, own in zip(part.flying, values, strict=True)]
         for source, who, own in zip(part.found, part.whose, values, strict=True):
             controller = self.sources[who]["controller"]

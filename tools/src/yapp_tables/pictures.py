@@ -134,8 +134,9 @@ class Pictures:
         """Say which values were outside the limits of the rules."""
         said = []
         for column in (part.message.columns[name] for name in part.values):
-            for source, values in zip(part.found, part.values[column.name], strict=True):
-                said += beyond(source, values, self.limits.of(source.name, part.message.name, column.name), column)
+            for source, values, use in zip(part.found, part.values[column.name], part.flying, strict=True):
+                limits = self.limits.of(source.name, part.message.name, column.name)
+                said += beyond(source, values, limits, column, use)
         return [row | {"is_supply": row["field"] in [one.name for one in part.supply() or ()]} for row in said]
 
     def _figures(self, part: Part) -> None:
@@ -158,7 +159,8 @@ class Pictures:
                 figure["lines"] = [asked | {"dash": "dash"} for asked in told["lines"]] + figure["lines"]
                 figure["marks"] += told["marks"]
                 self.figures.remove(told)
-            odd = {row["source"] for row in self.differs if row["field"] == column.name and row["kind"] != "left"}
+            named = {column.name, column.name.replace("_measured", "_commanded")}
+            odd = {row["source"] for row in self.differs if row["field"] in named and row["kind"] != "left"}
             about = (self.sources[who] for who in part.whose)
             figure["odd"] = sorted({one["controller"] for one in about if one["name"] in odd})
         self._intervals(part)

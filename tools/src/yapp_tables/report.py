@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from plotly.offline import get_plotlyjs
+from tqdm import tqdm
 
 from . import cards
 from .api import read_flight
@@ -63,7 +64,7 @@ def write_reports(
             return page, [write_report([_read(capture, config) for capture in captures], page, limits)]
         folder.mkdir(parents=True, exist_ok=True)
         rows = []
-        for flight in (_read(capture, config) for capture in captures):
+        for flight in (_read(capture, config) for capture in tqdm(captures, unit="flight", disable=None)):
             name = f"{plain_name(Path(flight.name))}-{flight.flight_id[:8]}.html"
             rows.append(write_report([flight], folder / name, limits) | {"page": name})
         write_whole(folder / "index.html", _index(rows))
