@@ -294,7 +294,7 @@ function T.test_columns_are_described()
     '"columns":[' .. table.concat(columns, ",") .. '],"differences":[],"formulas":[]}},"statistics":{},' ..
     '"kinds":[{"name":"fault",')
   lu.assertStrContains(text, '"fields":[{"name":"a.b","type":"UINT8","title":"A","help":"about"}],"experts":[],' ..
-    '"preferences":[{"name":"late","type":"bool","title":"Late","default":false,"help":"about"}]}')
+    '"preferences":[{"name":"late","type":"bool","title":"Late","default":"false","help":"about"}]}')
 end
 
 -- A unit follows a value if its placeholder says so, also a reserved value and one that is not there.

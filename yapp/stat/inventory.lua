@@ -8,34 +8,41 @@ local rules = require "yapp.stat.rules"
 
 local M = {}
 
-local words = output.words
+local object, words = output.object, output.words
 
--- The keys of the first values of a row, in their order; see settings.published of stat.taps.
-local FIELD_KEYS = words("name type title help")
-local EXPERT_KEYS = words("name title group severity")
-local PREFERENCE_KEYS = words("name type title default help")
--- The keys that rows have already.
+-- low and high are the bounds of a compressed float.  kind, bits and values are for integers only:
+-- the type, and the meaning of its numbers.
+local COLUMN_KEYS = words("name unit type filter title low high kind bits values")
+-- Of a value that is worked out from two fields: a difference is no column.
+local DIFFERENCE_KEYS = words("name of less unit title")
+local FORMULA_KEYS = words("name left operator right unit title")
 local KIND_KEYS = words("name text keys counts_as scope hides needs_time is_optional " ..
   "is_counted_only")
-local RULE_KEYS = words("name text help needs_time")
-local MESSAGE_KEYS = words("title every columns differences formulas")
-local STATISTIC_KEYS = words("title options help ask columns")
+local INVENTORY_KEYS = words("version plugin messages statistics kinds rules fields experts " ..
+  "preferences")
 
--- Return a list of objects with these keys.
--- is_positional  true if the values stand in the rows in the order of the keys
-local function list_rows(rows, keys, is_positional)
-  local list = {}
-  for i, row in ipairs(rows) do
+-- Return a list of objects.
+-- values_of  function(row) -> its values by key; nil if the row has them
+local function list(rows, keys, values_of)
+  local objects = {}
+  for i, row in ipairs(rows) do objects[i] = object(keys, values_of and values_of(row) or row) end
+  return output.list(objects)
+end
+
+-- Return a list of objects whose values stand in the rows in the order of the keys.
+local function list_in_order(rows, keys)
+  return list(rows, keys, function(row)
     local values = {}
-    for j, key in ipairs(keys) do
-      local value = row[key]
-      if is_positional then value = row[j] end
-      if type(value) == "boolean" then value = { json = tostring(value) } end
-      values[key] = value
-    end
-    list[i] = output.object(keys, values)
-  end
-  return output.list(list)
+    for i, key in ipairs(keys) do values[key] = tostring(row[i]) end
+    return values
+  end)
+end
+
+-- Return an object with the name of each row, and what a function makes of it.
+local function by_name(rows, value_of)
+  local names, values = {}, {}
+  for i, row in ipairs(rows) do names[i], values[row.name] = row.name, value_of(row) end
+  return object(names, values)
 end
 
 -- The meanings of an enum's numbers, in their order: {"0":"Torque Mode","1":"Speed Mode"}.
@@ -46,112 +53,84 @@ local function meanings(values)
     keys[#keys + 1], texts[key] = key, text
   end
   table.sort(keys, function(a, b) return tonumber(a) < tonumber(b) end)
-  return output.object(keys, texts)
+  return object(keys, texts)
 end
 
--- low and high are the bounds of a compressed float.  kind, bits and values are for integers only:
--- the type, and the meaning of its numbers.
-local COLUMN_KEYS = words("name unit type filter title low high kind bits values")
-
-local function describe_column(column)
+local function column_values(column)
   local field = column.field or {} -- common columns have none
-  local about = column.flag or field
-  local row = {
+  local about, is_integer = column.flag or field, column.type == "integer"
+  return {
     name = column.name,
     unit = column.unit,
     type = column.type,
     filter = about.filter,
     title = about.title,
+    low = column.type == "float" and field.min,
+    high = column.type == "float" and field.max,
+    kind = is_integer and field.kind,
+    bits = is_integer and field.kind and field.size * 8,
+    values = is_integer and field.values and meanings(field.values),
   }
-  if column.type == "float" then row.low, row.high = field.min, field.max end
-  if field.kind and column.type == "integer" then
-    row.kind, row.bits = field.kind, field.size * 8
-    row.values = field.values and meanings(field.values)
-  end
-  return output.object(COLUMN_KEYS, row)
 end
 
--- The values that are worked out from two fields and are no columns: "name" = "of" - "less".
-local DIFFERENCE_KEYS = words("name of less unit title")
-
-local function describe_differences(message_type)
-  local list = {}
-  for _, item in ipairs(message_type.generated) do
-    if item.is_difference then
-      list[#list + 1] = output.object(DIFFERENCE_KEYS, {
-        name = item.name,
-        of = item.a.name,
-        less = item.b.name,
-        unit = item.unit,
-        title = item.title,
-      })
-    end
-  end
-  return output.list(list)
-end
-
-local FORMULA_KEYS = words("name left operator right unit title")
-
-local function describe_formula(item)
-  return output.object(FORMULA_KEYS, {
+local function formula_values(item)
+  local left, right = item.a.name, item.b.name
+  return {
     name = item.name,
-    left = item.a.name,
+    of = left,
+    less = right,
+    left = left,
     operator = item.operator,
-    right = item.b.name,
+    right = right,
     unit = item.unit,
     title = item.title,
+  }
+end
+
+local function describe_message(message_type, columns)
+  local differences = {}
+  for _, item in ipairs(message_type.generated) do
+    if item.is_difference then differences[#differences + 1] = item end
+  end
+  return object(words("title every columns differences formulas"), {
+    title = message_type.title,
+    every = message_type.every,
+    columns = list(columns, COLUMN_KEYS, column_values),
+    differences = list(differences, DIFFERENCE_KEYS, formula_values),
+    formulas = list(message_type.generated, FORMULA_KEYS, formula_values),
+  })
+end
+
+local function describe_statistic(row)
+  return object(words("title options help ask columns"), {
+    title = row.title,
+    options = row.options,
+    help = row.help,
+    ask = row.ask,
+    columns = output.describe(row.columns),
   })
 end
 
 --- Describe all that is published.
 -- settings   see stat.taps
--- list_of    function(message) -> its columns: the common ones, then message.text's
+-- columns_of function(message type) -> its columns: the common ones, then message.text's
 -- statistics list of rows, see stat.options
--- returns    JSON: { version = 1, plugin =, messages = { NAME = { title =, every = in seconds or
---            null, columns = list of { those of COLUMN_KEYS }, differences = list of { those of
---            DIFFERENCE_KEYS }, formulas = list of { those of FORMULA_KEYS } } },
---            statistics = { NAME = { those of STATISTIC_KEYS } },
---            kinds, rules, fields, experts, preferences = lists of { those of their keys } }
-function M.describe(settings, list_of, statistics)
-  local names, messages = {}, {}
-  for i, message_type in ipairs(settings.catalogue.messages) do
-    local list = list_of(message_type)
-    for j, column in ipairs(list) do
-      list[j] = describe_column(column)
-    end
-    names[i] = message_type.name
-    local formulas = {}
-    for j, item in ipairs(message_type.generated) do formulas[j] = describe_formula(item) end
-    messages[message_type.name] = output.object(MESSAGE_KEYS, {
-      title = message_type.title,
-      every = message_type.every,
-      columns = output.list(list),
-      differences = describe_differences(message_type),
-      formulas = output.list(formulas),
-    })
-  end
-  local whats, described, published = {}, {}, settings.published
-  for i, row in ipairs(statistics) do
-    whats[i] = row.name
-    described[row.name] = output.object(STATISTIC_KEYS, {
-      title = row.title,
-      options = row.options,
-      help = row.help,
-      ask = row.ask,
-      columns = output.describe(row.columns),
-    })
-  end
-  local keys = "version plugin messages statistics kinds rules fields experts preferences"
-  return output.object(words(keys), {
+-- returns    JSON: { version = 1, plugin =, messages and statistics = objects by name; kinds,
+--            rules, fields, experts, preferences = lists }; an absent value is null
+function M.describe(settings, columns_of, statistics)
+  local published = settings.published
+  return object(INVENTORY_KEYS, {
     version = 1,
     plugin = settings.version,
-    messages = output.object(names, messages),
-    statistics = output.object(whats, described),
-    kinds = list_rows(kinds.LIST, KIND_KEYS),
-    rules = list_rows(rules.LIST, RULE_KEYS),
-    fields = list_rows(published.fields, FIELD_KEYS, true),
-    experts = list_rows(published.experts, EXPERT_KEYS, true),
-    preferences = list_rows(published.preferences, PREFERENCE_KEYS, true),
+    messages = by_name(settings.catalogue.messages, function(message_type)
+      return describe_message(message_type, columns_of(message_type))
+    end),
+    statistics = by_name(statistics, describe_statistic),
+    kinds = list(kinds.LIST, KIND_KEYS),
+    rules = list(rules.LIST, words("name text help needs_time")),
+    fields = list_in_order(published.fields, words("name type title help")),
+    experts = list_in_order(published.experts, words("name title group severity")),
+    preferences = list_in_order(published.preferences, words("name type title default help")),
   }).json
 end
 

@@ -31,10 +31,11 @@ local function number_value(value)
   return tonumber(shown) == value and shown or format("%.17g", value)
 end
 
---- The JSON of a value, see below: string, number, nil (null), or that of a table.
+--- The JSON of a value, see below: string, number, true, nil or false (null), or that of a table.
 function M.value(value)
   local kind = type(value)
   if kind == "number" then return number_value(value) end
+  if value == true then return "true" end
   if kind == "table" then return value.json or M.value(value.value) end
   return value and text_value(value) or "null"
 end
