@@ -8,7 +8,7 @@ DEMO := docs/first.pcapng
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
-.PHONY: demo test test-all unit coverage unit-5.2 unit-5.4 unit-5.5 map hostile e2e lint install uninstall dist release soak matrix \
+.PHONY: demo test test-all unit coverage unit-5.2 unit-5.4 unit-5.5 map e2e lint install uninstall dist release soak matrix \
   fuzz mutate valgrind bench screenshots regenerate \
   needs-tshark needs-python needs-hatchling needs-tests needs-bench
 
@@ -133,10 +133,6 @@ valgrind: needs-tests
 ## Beside its peers, on this tshark and on 4.6 (tests/matrix makes its chroot), into docs/BENCH.md: RUNS=5, BASE=folder another version
 bench: needs-bench
 	/usr/bin/env python3 tests/bench/bench.py $(if $(RUNS),--runs $(RUNS)) $(if $(BASE),--base "$(BASE)")
-
-## Whether traffic of the worst kind costs more the longer it is: RUNS=2 PACKETS=10000.  Never fails
-hostile: needs-tshark needs-python
-	-/usr/bin/env python3 tests/bench/hostile.py $(if $(RUNS),--runs $(RUNS)) $(if $(PACKETS),--packets $(PACKETS))
 
 needs-bench: needs-tshark
 	$(call install-missing,python3 lua5.2 lua5.4,python3 python3-venv python3-can lua5.2 lua5.4,\

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Feeds the plugin with damaged captures: fuzz.py --frames 100000 --seed 1
 
-Makes YAPP traffic on every carrier and text and dumps for every file reader, takes the captures of test_captures too,
-damages them, and shows each file to tshark and sharkd in several ways: one pass, two passes, all of the tree, fields,
+Takes the random captures of the soak tests, flights and the captures of test_captures, damages them, and shows each file to tshark and sharkd in several ways: one pass, two passes, all of the tree, fields,
 filters, statistics, frames at random.  A way fails on a Lua error, a crash, more than its time or its memory.
 What fails is made small, kept in test_captures/fuzz and replayed by tests/e2e/test_fuzz_findings.py.
 

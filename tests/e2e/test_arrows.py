@@ -67,28 +67,6 @@ def test_nobody_writes_into_a_module(path):
             assert not name or name[1] not in required, f"{path}:{number}: {line}"
 
 
-def test_what_these_tests_find(folder):
-    """Each of them fails where it has to."""
-    for name, text, test in [
-        ("can/memory.lua", 'local framer = require "yapp.serial.framer"\n', test_arrows_lead_down),
-        ("wire/crc.lua", 'local tree = require "yapp.message.history"\n', test_arrows_lead_down),
-        ("wire/crc.lua", 'local bits = require("yapp.base.bites")\n', test_arrows_lead_down),
-        ("can/memory.lua", 'local function f()\nend\nlocal bits = require("yapp.base.bits")\n', test_modules_are_required_at_the_head),
-        ("can/memory.lua", 'local function f() return require("yapp.base.bits") end\n', test_modules_are_required_at_the_head),
-        ("can/memory.lua", "local bits = require(name)\n", test_modules_are_required_at_the_head),
-        ("can/memory.lua", 'local bits = require "yapp.base.bits"\n  bits.x = 1\n', test_nobody_writes_into_a_module),
-        ("can/memory.lua", 'local bits = require "yapp.base.bits"\na, bits["x"] = 1, 2\n', test_nobody_writes_into_a_module),
-        ("can/memory.lua", 'local bits = require "yapp.base.bits"\nfunction bits.f() end\n', test_nobody_writes_into_a_module),
-    ]:
-        path = folder / "yapp" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-        lines_of.cache_clear()
-        with pytest.MonkeyPatch.context() as patched, pytest.raises(AssertionError):
-            patched.setattr(tshark, "ROOT", folder)
-            test(path)
-
-
 def test_the_picture():
     """make map prints it."""
     assert module_map.text(tshark.ROOT) in (tshark.ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), \

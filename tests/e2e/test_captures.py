@@ -123,25 +123,6 @@ def test_captures_are_right_beside_others(passes):
     assert len(compared) > 40 and wrong <= {"document_udp", "remote_frames", "tcp_conversation", "time_delta", "two_buses_sll2", "two_interfaces", "udp_several"}
 
 
-def test_the_comparison_sees_each_difference():
-    """A frame that is not there, another text in Info, and another value of any field."""
-    def are_equal(passes, frames):
-        wanted, text = expected.comparison("document_motor", passes, frames)
-        return wanted == text
-
-    for passes in expected.PASSES:
-        *before, last = frames = shown("document_motor", passes)
-        assert are_equal(passes, frames) and len(last) > 60
-        assert not are_equal(passes, before) and not are_equal(passes, [])
-        for name in last:
-            if expected.TAURUS.get(name) != "BOOLEAN":  # of flags those that are set have a line
-                wrong = last | {name: 7 if name == "frame" else "?" if name == "info" else ["?"]}
-                assert not are_equal(passes, [*before, wrong]), name
-        for flag in ("taurus.motor.state.ready", "taurus.motor.state.running"):
-            wrong = last | {flag: ["0" if last[flag] == ["1"] else "1"]}
-            assert not are_equal(passes, [*before, wrong]), flag
-
-
 def wanted_of_messages(name):
     """By frame, what the messages of a text have to show: [(message, fields, experts)]."""
     by_frame = {}

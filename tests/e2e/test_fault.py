@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import random
-import struct
 
 import pytest
 

@@ -204,26 +204,6 @@ def test_fields(folder, seed, passes):
     assert unfinished == (planted if passes else set()) or not knows_all and unfinished <= planted
 
 
-def test_the_comparison_sees_each_field(folder):
-    """A value that is left out, and another one, of each field that a flight has."""
-    flight = flights.make(SEEDS[0])
-    rows = tshark.fields(flight.write(folder / "run.log", "candump"), NAMES, *flight.arguments("candump"), "-2")
-    truth, found = Truth(flight, "candump"), set()
-    assert len(rows) > 500 and not list(differences(truth, rows, True, True))
-    for place, name in enumerate(NAMES[:-2]):
-        index = next((index for index, row in enumerate(rows) if row[place] and index + 1 in truth.ends), None)
-        if index is None:
-            continue
-        before = rows[index][place]
-        for wrong in ["", *([] if name in model.EVENT_EXPERTS else ["?" if name in ("yapp.bus", "yapp.source") else "123456"])]:
-            rows[index][place] = wrong
-            assert [row[:2] for row in differences(truth, rows, True, True)] == [(index + 1, name)]
-        rows[index][place] = before
-        found.add(name)
-    missing = {*OF_HISTORY, *OF_ANY} - found
-    assert missing <= {"taurus.reboot", *(name for name in FLAGS if not name.startswith(tuple(ALARMED)))}, missing
-
-
 def test_each_field_that_is_worked_out_is_compared():
     """Here; elsewhere stands what test_captures.py and test_experts.py compare."""
     here = {name for name in published.of("field").keys() - model.filters().keys()

@@ -261,24 +261,6 @@ def test_random_streams(number, passes, folder):
     assert not problems, f"{transport}, seed {seed}, {passes}: {len(problems)}\n" + "\n".join(problems[:20])
 
 
-def test_the_comparison_sees_each_field(folder):
-    """A value that is left out, and another one, of each field that the packets have."""
-    capture, path, seen = stream_captures.capture(TRANSPORTS[0], f"{SEED}.0", PER_FILE), folder / "streams.pcapng", set()
-    capture.write(path)
-    rows = shown(path, *capture.options)
-    assert compare(capture, path, "one pass") == []
-    for packet in capture.packets:
-        row = rows.get(packet.number, {})
-        if any(event.kind == "incomplete" for event in packet.events):
-            continue
-        for name in set(row) - seen - {"frame.number", INFO}:
-            less, other = {one: value for one, value in row.items() if one != name}, row | {name: "?" if name == "info" else ["?"]}
-            for wrong in (less,) if name.removeprefix("yapp.") in EXPERTS else (less, other):  # an item has no value
-                assert Comparison(packet, wrong, False).run(), name
-            seen.add(name)
-    assert seen >= {"info", "yapp", "yapp.id", "yapp.crc", "yapp.payload", "yapp.skipped", "yapp.fragment", "taurus.motor.dc_voltage"}
-
-
 # Single situations -----------------------------------------------------------------------------------------------
 
 ONE, TWO, THREE = (frame(0x301 + number, bytes([number]) * 30, seq=number) for number in range(3))
@@ -428,12 +410,6 @@ def test_situation(name):
         if levels.ALL or problems_of(together, passes):
             problems = problems_of((name,), passes)
             assert not problems, f"{passes}:\n" + "\n".join(problems)
-
-
-@pytest.mark.parametrize("events", [[("good", TWO)], [("bad", ONE)], []], ids=["others", "bad", "none"])
-def test_a_situation_that_is_not_so_is_seen(monkeypatch, events):
-    monkeypatch.setitem(SITUATIONS, f"planted {len(events)}", (SERIAL, [(ONE, events)]))
-    assert problems_of.__wrapped__((f"planted {len(events)}",), "one pass")
 
 
 def test_how_much_of_a_packet_was_captured(folder):

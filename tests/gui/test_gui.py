@@ -139,57 +139,6 @@ def test_a_broken_catalogue_is_told_in_a_window(captures):
 
 # The checks themselves ---------------------------------------------------------------------------------------------
 
-def plant(path, behind, line):
-    text = path.read_text()
-    assert text.count(behind) == 1
-    path.write_text(text.replace(behind, f"{behind}\n{line}\n"))
-
-
-def test_an_error_at_load_is_seen(captures):
-    plugin = gui.tshark.copy_plugin(captures)
-    with open(plugin / "yapp.lua", "a") as file:
-        file.write('\nerror("planted")\n')
-    with gui.Wireshark("-r", captures / "first.pcapng", plugin=plugin) as wireshark:
-        gui.wait_for(wireshark.windows)
-        time.sleep(5)
-        with pytest.raises(AssertionError):
-            assert_quiet(wireshark, "first.pcapng")
-
-
-def test_an_error_at_reload_is_seen(captures):
-    probe = Probe(captures)
-    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcapng") as wireshark:
-        wireshark.wait_for_window("first.pcapng")
-        probe.wait_for(402)
-        assert_quiet(wireshark, "first.pcapng")
-        with open(wireshark.plugin / "yapp.lua", "a") as file:
-            file.write('\nerror("planted")\n')
-        wireshark.press("ctrl+shift+l", until=lambda: len(wireshark.windows()) > 1)
-        with pytest.raises(AssertionError):
-            assert_quiet(wireshark, "first.pcapng")
-
-
-def test_an_error_in_a_dissector_is_seen(captures):
-    plugin, probe = gui.tshark.copy_plugin(captures), Probe(captures)
-    plant(plugin / "yapp/reading/reading.lua", "function Reading:read_message(frame, transfer)", 'error("planted")')
-    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcapng", plugin=plugin) as wireshark:
-        wireshark.wait_for_window("first.pcapng")
-        probe.wait_for(0, errors=402)
-
-
-def test_a_missing_filter_is_seen(captures):
-    """A filter that is not applied leaves the first packet on top."""
-    with gui.Wireshark("-r", captures / "first.pcapng") as wireshark:
-        wireshark.wait_for_window("first.pcapng")
-        wireshark.filter("taurus.no_such_field")
-        wireshark.keys("Escape")
-        wireshark.xdotool("mousemove", 300, 100, "click", "1")  # the list, where the keys then go
-        wireshark.keys("ctrl+Home")
-        wireshark.tree("Frame 1:")
-        with pytest.raises(AssertionError, match="no tree"):
-            wireshark.tree("Frame 719:", seconds=3)
-
-
 def text_of(wireshark, title, part=""):
     """The text of a window of ours, once it has a part: until the window has the focus, another one answers."""
     wireshark.wait_for_window(title)

@@ -66,15 +66,3 @@ def is_control(blocks, name):
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(TOP)))
 def test_no_control_variable_is_assigned_to(path):
     assert assigned(path.read_text()) == []
-
-
-@pytest.mark.parametrize("text, lines", [
-    ("for i = 1, 2 do i = 3 end", [1]),
-    ("for name, value in pairs(t) do\n  if x then name = value end\nend", [2]),
-    ("for line in lines do local a, b = 1\n line, a = f() end", [2]),
-    ("for name in pairs(t) do t.name = 1 f { name = 2 } local name = 3 name = 4 end name = 5", []),
-    ("for _, value in pairs(t) do value = 1 end", []),  # the second one is an ordinary variable
-    ("while name do name = f() end for name in t do end", []),
-])
-def test_what_is_found(text, lines):
-    assert assigned(text) == lines
