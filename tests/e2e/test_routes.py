@@ -3,11 +3,15 @@
 shows what was sent."""
 import re
 import shutil
+import struct
 import subprocess
 
 import pytest
 
 import flights
+import levels
+import stream_captures
+import test_readme
 import tshark
 from test_files import DOCUMENT, PYTHON
 from test_recorders import CASES, events, motor_count
@@ -99,6 +103,64 @@ def test_any_csv(folder):
     (folder / "run.csv").write_text("\r\n".join(lines), newline="")
     run(folder, *commands("Any other CSV"))
     assert motor_count(folder / "run.log") == 12
+
+
+LOG = (tshark.CAPTURES / "candump/candump_log_plain.log").read_text().splitlines()
+
+
+@pytest.mark.parametrize("prefix", ["", "Nov 14 22:13:20 pi candump[512]: ", "2023-11-14T22:13:20.013000000Z ", "candump-1  | "])
+def test_lines_with_a_prefix(folder, prefix):
+    (folder / "run.txt").write_text("".join(f"{prefix}{line}\n" for line in LOG))
+    run(folder, *commands("Lines with a prefix"))
+    assert (folder / "run.log").read_text().splitlines() == LOG
+
+
+def test_journal(folder):
+    shutil.copy(CASES / "journal.txt", folder / "run.txt")
+    run(folder, *commands("Lines with a prefix"))
+    assert motor_count(folder / "run.log") == 60
+
+
+def log_frames():
+    for line in LOG:
+        stamp, _, frame = line.split()
+        ident, data = frame.split("#")
+        yield float(stamp[1:-1]), ident, bytes.fromhex(data)
+
+
+@pytest.mark.parametrize("end, stamps", [("\r", False), ("\r\n", True), ("\n", False)])
+def test_slcan(folder, end, stamps):
+    """With stamps of the adapter, too, and its answers."""
+    lines = [f"T{ident}{len(data)}{data.hex().upper()}{'%04X' % number * stamps}" for number, (_, ident, data) in enumerate(log_frames())]
+    (folder / "run.txt").write_text(end.join(["O", "V1013", *lines, "z", ""]), newline="")
+    run(folder, *commands("SLCAN"))
+    assert motor_count(folder / "run.log") == motor_count(tshark.CAPTURES / "candump/candump_log_plain.log") > 0
+
+
+def test_can_in_udp(folder):
+    """One or several frames in a datagram."""
+    packets, frames = [], list(log_frames())
+    while frames:
+        some = frames[:len(packets) % 3 + 1]
+        data = b"".join(struct.pack(">HHQIIBBHI8s", 36, 0x80, 0, 0, 0, 0, len(data), 2, 1 << 31 | int(ident, 16), data)
+                        for _, ident, data in some)
+        packet = stream_captures.Packet(data, stream_captures.Origin(stream_captures.ETHERNET, 0, 0))
+        packet.time = round(some[0][0] * 1e6)
+        packets.append(packet)
+        frames = frames[len(some):]
+    stream_captures.Capture("", packets, stream_captures.udp, []).write(folder / "run.pcap")
+    run(folder, *commands("CAN in UDP"))
+    found = [line.upper().split()[1:] for line in (folder / "run.log").read_text().splitlines()]
+    assert found == [line.upper().split()[1:] for line in LOG]
+
+
+@levels.by_version
+def test_blf_keeps_its_channels(folder):
+    shutil.copy(tshark.CAPTURES / "other/motor.blf", folder)
+    command = re.search("    (tshark -r motor.blf -w .*)", DOCUMENT.read_text())[1]
+    assert test_readme.shell(folder, command).returncode == 0
+    rows = tshark.fields(folder / "motor.pcapng", ["yapp.bus"], "-Y", "taurus.motor")
+    assert rows == [["CAN-1"], ["CAN-2"]]
 
 
 def test_each_section_has_a_test():

@@ -225,6 +225,24 @@ def test_a_datagram_of_a_bridge_is_lost(folder):
     assert [row["frame"] for row in events if row["kind"] == "crc"] == [14]
 
 
+@PASSES
+@pytest.mark.parametrize("length", [1, 3, 7])
+@pytest.mark.parametrize("link", [stream_captures.udp, stream_captures.tcp])
+def test_no_packet_has_the_greater_part_of_a_header(folder, link, length, passes):
+    """The headers that packets have in pieces are counted, and the option that decodes them is named."""
+    data = b"".join(data for _, data in flight())
+    packets = [(0.1 * at / 48, Packet(data[at:at + length], Origin(ETHERNET, 0, 0))) for at in range(0, len(data), length)]
+    for at, (_, packet) in enumerate(packets):
+        packet.sequence = 1000 + at * length
+    path = written(folder, packets, link)
+    done = tshark.run("-q", "-r", path, *passes, "-z", "yapp,faults", check=False)
+    protocol = link.__name__
+    port = tshark.fields(path, [f"{protocol}.srcport", f"{protocol}.dstport"], "-c", "1")[0]
+    option = f"-d {protocol}.port=={min(map(int, port))},yapp_serial"
+    assert done.returncode == 21 and f"20 YAPP headers in this file were not decoded; try {option}" in done.stderr
+    assert sum(statistics(path, *passes, *option.split())[0].values()) == 20
+
+
 @levels.by_version
 @PASSES
 def test_datagrams_of_others_in_a_conversation(passes):
@@ -661,10 +679,43 @@ def test_a_serial_interface_beside_ethernet_is_no_all_clear(folder):
 # docs/streams.md -------------------------------------------------------------------------------------------------
 
 PAGE = (tshark.ROOT / "docs/streams.md").read_text()
-COMMANDS = [line.strip() for line in re.findall(r"(?m)^    (.*)", PAGE) if not line.startswith(("sudo", "tshark -i"))]
+BLOCKS = re.findall(r"(?m)(?:^    .*\n)+", PAGE)
+# A command goes on behind "|", and while a text in quotes is open.
+COMMANDS = [command for block in BLOCKS for command in re.findall(r"^    (?! )((?:'[^']*'|\|\n|[^'\n])+)", block, re.MULTILINE)
+            if not command.startswith(("sudo", "tshark -i"))]
 # The page's files, and how many messages of Motor Data each has.
 FILES = {"uart.pcapng": "two_uarts_directions.pcapng", "usb.pcapng": "usbmon_cdc.pcap", "udp.pcap": "udp_bridge_40.pcap",
          "tcp.pcap": "tcp_8_byte_segments.pcap", "tls.pcapng": "tls12_4433.pcapng", "async.csv": "saleae_async.csv"}
+
+
+def logic_exports():
+    """The name of an export, its text, and how many Motor Data it has."""
+    for name, count in {"saleae_async.csv": 6, "saleae_before_trigger.csv": 60}.items():
+        text = (CASES / name).read_text()
+        yield name, text, count
+        rows = [line.split(",") for line in text.splitlines()[1:]]
+        yield name + ", 15 decimals", text.splitlines()[0] + "\n" + "".join(f"{float(at):.15f},{byte},,\n" for at, byte, *_ in rows), count
+        yield name + ", data table", "name,type,start_time,duration,data\n" + "".join(
+            f'"Async Serial","data",{float(at)!r},8.6e-05,"{byte}"\n' for at, byte, *_ in rows), count
+
+
+@pytest.mark.parametrize("name, text, count", list(logic_exports()), ids=lambda value: value if str(value).startswith("saleae") else "")
+def test_exports_of_a_logic_analyser(folder, name, text, count):
+    """Whatever the export, with the times of the bytes; before the trigger they are negative."""
+    (folder / "async.csv").write_text(text)
+    recipe, question = [command for command in COMMANDS if "async.pcapng" in command]
+    assert test_readme.shell(folder, recipe).returncode == 0
+    counts, events = statistics(folder / "async.pcapng", *USER_DLT)
+    assert counts["uart0", MOTOR_DATA] == count, name
+    assert "not decoded" not in test_readme.shell(folder, question).stderr
+    lengths = [row["active"] for row in events if row["kind"] == "fault" and row["active"]]
+    assert all(abs(length - 1) < 0.01 for length in lengths) and len(lengths) == 2 * (count == 60)
+
+
+def bluetooth(packet):
+    """A notification of Bluetooth LE, as an HCI packet with a direction."""
+    value = struct.pack("<BH", 0x1B, 0x12) + packet.data
+    return struct.pack(">I", 1) + b"\2" + struct.pack("<HHHH", 0x2040, 4 + len(value), len(value), 4) + value
 
 
 def test_commands_of_the_page(folder):
@@ -672,15 +723,18 @@ def test_commands_of_the_page(folder):
     for name, case in FILES.items():
         shutil.copy(CASES / case, folder / name)
     (folder / "uart.yapp").write_bytes(b"".join(data for _, data in flight()))
+    data = b"".join(data for _, data in flight())
+    parts = [(0.1 * at / 48, Packet(data[at:at + 20], Origin(201, 0, 0))) for at in range(0, len(data), 20)]
+    written(folder, parts, bluetooth, "ble.pcapng")
     log = (tshark.CAPTURES / "candump/candump_log_plain.log").read_text()
     (folder / "candump.log").write_text(log)
     for path in folder.iterdir():
         path.chmod(0o666)
-    assert len(COMMANDS) == 14
+    assert len(COMMANDS) == 16
     for command in COMMANDS:
         done = test_readme.shell(folder, command)
         assert done.returncode == 0, (command, done.stderr)
-        if command.startswith("text2pcap"):
+        if "text2pcap" in command:
             continue
         assert "no YAPP message found" not in done.stdout + done.stderr, command
         counted = test_readme.shell(folder, re.sub(r"-q -z .*|-Y yapp$", "", command) + " -q -z yapp,summary,json -Y yapp")

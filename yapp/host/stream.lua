@@ -22,6 +22,7 @@ local M = {}
 local PACKET = frame_key.PACKET
 local TLS = PACKET / 2 -- offset of the bytes that TLS found in a packet
 local TCP_HEADER = 20
+local CUT_HEADER = 8 -- bytes that Dissector:count_headers takes for a header that was cut
 local FIN, SYN, RST = 1, 2, 4 -- flags of TCP
 -- The kinds of USB packets: encapsulation of Wireshark, name of serial.usb.
 local USB_KINDS = {
@@ -146,12 +147,34 @@ local function dissect(self, packet, wants, tvb, pinfo, tree)
   return true
 end
 
---- Return whether a packet of an unknown conversation is YAPP: it holds a whole header.
+-- Return whether a packet has the end of a header, which others of its line may have begun.
+local function ends_header(line, bytes)
+  local text = line.latest .. bytes
+  line.latest = text:sub(1 - frame.HEADER)
+  return frame.find_header(text, 1) ~= nil
+end
+
+-- Count headers in a packet that is not decoded.
+local function count_undecoded(self, pinfo, count)
+  local port = math.min(pinfo.src_port, pinfo.dst_port)
+  local option = ("-d %s.port==%d,yapp_serial"):format(PORTS[pinfo.port_type] or "udp", port)
+  self.undecoded[option] = (self.undecoded[option] or 0) + count
+end
+
+--- Return whether a packet of an unknown conversation is YAPP: it holds a whole header.  A header
+-- that packets have in pieces is counted.
 function Dissector:accepts(tvb, pinfo)
   if pinfo.in_error_pkt or length_of(tvb) == 0 then return false end
-  if not frame.find_header(raw_of(tvb), 1) then return false end
-  line_of(self, pinfo, pinfo.port_type).conversation.is_found = true
-  return true
+  local bytes = raw_of(tvb)
+  local is_found, is_piece = frame.find_header(bytes, 1) ~= nil, #bytes < frame.HEADER
+  if not (is_found or is_piece and not pinfo.visited) then return false end
+  local line = line_of(self, pinfo, pinfo.port_type)
+  if is_found then
+    line.conversation.is_found = true
+  elseif ends_header(line, bytes) and #bytes < CUT_HEADER then
+    count_undecoded(self, pinfo, 1)
+  end
+  return is_found
 end
 
 -- TCP ---------------------------------------------------------------------------------------------
@@ -229,22 +252,16 @@ local function part_tvb(part, tvb)
   return tvb(part.offset):tvb()
 end
 
--- Return whether a packet of an adapter has the end of a header: at 115,200 baud adapters hand on
--- 11 bytes a millisecond.
-local function finds_header(line, bytes)
-  local text = line.latest .. bytes
-  line.latest = text:sub(1 - frame.HEADER)
-  line.conversation.is_found = frame.find_header(text, 1) ~= nil
-  return line.conversation.is_found
-end
-
 --- Dissect a packet of USB that Wireshark has shown, if it has bytes of a serial line with YAPP.
 -- kind  of serial.usb
 function Dissector:dissect_usb(kind, tvb, pinfo, tree)
   local part = length_of(tvb) > 0 and self.usb:read_packet(kind, raw_of(tvb))
   if not part or part.bytes == "" then return end
   local line = self.reading.lines:of_adapter(part.name, part.device)
-  if not (line.conversation.is_found or finds_header(line, part.bytes)) then return end
+  local conversation = line.conversation
+  -- At 115,200 baud adapters hand on 11 bytes a millisecond, less than a header.
+  conversation.is_found = conversation.is_found or ends_header(line, part.bytes)
+  if not conversation.is_found then return end
   local length = part.truncated and #part.bytes + 1 or #part.bytes
   local packet, wants = new_packet(self, line, pinfo, tree, part.offset, part.bytes, length)
   dissect(self, packet, wants, wants.tree and part_tvb(part, tvb), pinfo, tree)
@@ -270,15 +287,11 @@ end
 function Dissector:count_headers(pinfo, tvb)
   if pinfo.number == self.number or tvb:len() == 0 then return end
   local bytes = tvb:raw()
-  local index = frame.find_header(bytes, 1, true)
-  if not index then return end
-  local port = math.min(pinfo.src_port, pinfo.dst_port)
-  local option = ("-d %s.port==%d,yapp_serial"):format(PORTS[pinfo.port_type] or "udp", port)
-  local count = self.undecoded[option] or 0
-  repeat
+  local count, index = 0, frame.find_header(bytes, 1, true)
+  while index do
     count, index = count + 1, frame.find_header(bytes, index + 1, true)
-  until not index
-  self.undecoded[option] = count
+  end
+  if count > 0 then count_undecoded(self, pinfo, count) end
 end
 
 --- Return the options of tshark that decode conversations that were not: a list, and the number of

@@ -52,7 +52,7 @@ local function new_line(bus, bus_key)
     is_datagram = false, -- of UDP
     is_complete = false, -- true if each packet is complete in itself: of a raw dump
     conversation = { is_found = false }, -- of both directions: true if it was found by content
-    latest = nil, -- of an adapter without a header yet: its latest bytes
+    latest = "", -- its latest bytes, while no header came
     is_shown = false, -- of TCP: true if its segments are shown when TCP has shown them
     sources = {}, -- [ID] = a source; [false] = that of bytes of no frame
   }
@@ -102,7 +102,7 @@ function Lines:of_adapter(name, device)
   local line = self.adapters[name]
   if not line then
     line = new_line(name, device)
-    line.has_address, line.latest = true, ""
+    line.has_address = true
     self.adapters[name] = line
   end
   return line
