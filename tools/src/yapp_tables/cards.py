@@ -45,8 +45,11 @@ def panel(card: Record, messages: Mapping[str, Message]) -> str:
             for each in card[key]
         ]  # fmt: skip
         parts.append(_table(title, rows, heads))
-    events = [(f"{each['since']:.3f} s", f"{each['frame'] or 0:,}", str(each.get("source") or ""), _event(each))
-              for each in card["events"]]  # fmt: skip
+    events = [
+        ("" if each["time"] is None else f"{each['time'] - card['time']:.3f} s", f"{each['frame'] or 0:,}",
+         each["source"] or each["bus"] or "", _event(each))
+        for each in card["events"]
+    ]  # fmt: skip
     parts.append(_table("events within a second", events) or "<p>no event within a second</p>")
     return "".join(parts)
 
@@ -76,8 +79,9 @@ def _change(row: Record, messages: Mapping[str, Message]) -> str:
 
 
 def _event(row: Record) -> str:
-    length = f" {row['length']:.3f} s" if row.get("length") else ""
-    return f"{row['kind']}{length}"
+    length = f"{row['length']:.3f} s" if row["kind"] in ("silence", "disabled", "jump") and row.get("length") else ""
+    words = (row["kind"], row.get("message"), row.get("flag"), row.get("event"), row.get("what"), length)
+    return " ".join(word for word in words if word)
 
 
 def _number(value: Any, unit: str = "") -> str:

@@ -16,6 +16,7 @@ from .words import about, clock, duration, minute, utc
 Record = dict[str, Any]
 HEADS = ("what", "source", "begin", "UTC", "duration", "frames", "details")
 LOSSES = ("incomplete", "crc", "missing", "stale")
+FEW = 3  # incidents of a kind that are told one by one
 SHARE = 0.8  # of a flight, and more, is throughout
 
 
@@ -28,9 +29,17 @@ def causes(data: Record) -> list[Record]:
         one["weight"] = max(one["weight"], weight)
         one["said"].append({"text": text, "begin": begin, "end": end, "bad": is_bad, "weight": weight})
 
+    alike: dict[tuple[str, str], list[Record]] = {}
     for row in data["incidents"]:
         if row["is_serious"]:
-            weight = 100.0 if row["is_fault"] else 90.0 if "reboot" in row["kinds"] else 80.0
+            alike.setdefault((row["label"], row["what"]), []).append(row)
+    for rows in alike.values():
+        row = rows[0]
+        weight = 100.0 if row["is_fault"] else 90.0 if "reboot" in row["kinds"] else 80.0
+        if len(rows) > FEW:
+            add(row, weight, _often(rows, data["length"]), row["begin"], rows[-1]["until"], True)
+            continue
+        for row in rows:
             add(row, weight, _incident(row, data), row["begin"], row["until"], True)
     for rows in _by_controller(data["differs"]):
         for weight, text, row in _differences(rows, data["length"]):
@@ -47,6 +56,13 @@ def _by_controller(rows: Iterable[Record]) -> Iterator[list[Record]]:
     yield from groups.values()
 
 
+def _often(rows: list[Record], whole: float) -> str:
+    """Say what came many times in one sentence."""
+    longest = max((whole if row["until"] is None else row["until"]) - row["begin"] for row in rows)
+    span = f"{clock(rows[0]['begin'])} to {clock(rows[-1]['begin'])}"
+    return f"{rows[0]['what']} {len(rows)} times, {span}, at most {duration(longest)}"
+
+
 def _incident(row: Record, data: Record) -> str:
     rows, kinds, begin = row["rows"], row["kinds"], row["begin"]
     length = None if row["until"] is None else row["until"] - begin
@@ -58,7 +74,9 @@ def _incident(row: Record, data: Record) -> str:
         ends = [one["end"] for one in faults]
         at = min(one["begin"] for one in faults)
         lasts = "until the end" if None in ends else duration(max(ends) - at)
-        text = f"{', '.join(names)} at {clock(at)}, {lasts}"
+        times = sum(one["what"] == names[0] for one in faults)
+        often = f"{times} times in " if times > 1 else ""
+        text = f"{', '.join(names)} at {clock(at)}, {often}{lasts}"
         surges = (one for one in data["differs"] if one["kind"] == "surge" and one["label"] == row["label"])
         near = next((one for one in surges if at - 2 <= one["at"] <= (row["until"] or at)), None)
         if near:
