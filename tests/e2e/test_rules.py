@@ -235,7 +235,7 @@ def test_means_shares_and_spreads_under_a_condition(folder):
              ("!status.braking", lambda message: not message.flags["status.braking"])]
     rule = Rule("dc_voltage", [(0, None, None)], tests=tuple(tests))
     words = " when=status.enabled&!status.braking"
-    names = [f"motor.dc_voltage.{measure}{words}" for measure in ("mean=-200..200", "special=1", "spread=0.5")]
+    names = [f"motor.dc_voltage.{measure}{words}" for measure in ("mean=-200..200", "special=1", "spread=0.5", "noise=9")]
     found, latest, widest = check(folder / "run.pcapng", names, 20), {}, (0, 0)
     for (bus, ident), messages in by_source.items():
         values = [message.number("dc_voltage") for message in messages if condition(rule.tests, message)]
@@ -243,6 +243,15 @@ def test_means_shares_and_spreads_under_a_condition(folder):
         mean, share = (found[name, f"can{bus}", ident] for name in names[:2])
         assert mean["seen"] == pytest.approx(sum(numbers) / len(numbers)), mean
         assert share["seen"] == pytest.approx(1 - len(numbers) / len(values)) and share["seen"] > 0, share
+        row, away, last = [], [], messages[0].at
+        for message in messages:
+            row = [] if message.is_reboot or message.at - last > LATE or not condition(rule.tests, message) else row
+            last, value = message.at, message.number("dc_voltage")
+            if condition(rule.tests, message) and value is not None:
+                row.append(value)
+                away += [abs(row[-2] - (row[-3] + row[-1]) / 2)] if len(row) > 2 else []
+        noise = found[names[3], f"can{bus}", ident]
+        assert noise["seen"] == pytest.approx(sum(away) / len(away)) and len(away) > 3, noise
     for message, source in sorted(((one, source) for source, own in by_source.items() for one in own),
                                   key=lambda pair: pair[0].frame):
         latest[source] = message.at, message.number("dc_voltage") if condition(rule.tests, message) else None

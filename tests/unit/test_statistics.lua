@@ -849,7 +849,7 @@ end
 -- Each rule about values but that of all sources is not judged, and says why, if its source has no good message.
 function T.test_rules_without_a_value()
   local rules = { gap = "motor.gap=1", range = "motor.volts=1..2", mean = "motor.volts.mean=1..2",
-    ratio = "motor.volts.ratio=1..2", special = "motor.volts.special=0.5", over = "motor.volts.over(mode)=0:1..2;3:1..2" }
+    ratio = "motor.volts.ratio=1..2", special = "motor.volts.special=0.5", over = "motor.volts.over(mode)=0:1..2;3:1..2", noise = "motor.volts.noise=1" }
   for _, row in ipairs(measures_of.LIST) do
     if row.name ~= "count" and row.name ~= "rate" and row.scope ~= "capture" then
       local printed, code = run({ "check,source=left,crc=9," .. rules[row.name] }, { bad(1, 0) })
@@ -1604,7 +1604,7 @@ function T.test_options()
   lu.assertEquals(read_options("csv,-,motor,all").chosen, MOTOR)
   lu.assertEquals(read_options("check,crc=0,junit=a=b.xml").junit, "a=b.xml")
   options = read_options("check, fault = 0 ,motor.volts = 1 .. 2 , filter = a == 1")
-  lu.assertEquals({ options.rules[1].text, options.rules[2].text, options.rules[2].limits.high, options.filter, options.problems },
+  lu.assertEquals({ options.rules[1].text, options.rules[2].text, options.rules[2].most, options.filter, options.problems },
     { "fault=0", "motor.volts=1..2", 2, " a == 1", {} })
   options = read_options("check, motor.volts = 1 .. 2  when = fault.hot & ! fault.stall  after = 1")
   lu.assertEquals({ options.rules[1].text, options.rules[1].limit, options.problems },
@@ -1665,7 +1665,6 @@ function T.test_wrong_options_are_named()
     ["check,crc=1 for=1"] = "crc=1 for=1: for= is for rules about values, such as motor.dc_voltage=40..55",
     ["check,motor.volts=..3 wen=x"] = "motor.volts=..3 wen=x: wen=x is none of what may follow a rule: when, after, for",
     ["check,motor.volts=..3 after=x"] = 'motor.volts=..3 after=x: "x" is not a number for after',
-    ["check,motor.volts=..3 for=1 for=1"] = "motor.volts=..3 for=1 for=1: for= stands twice",
     ["check,motor.volts.mean=..3 for=1"] = "motor.volts.mean=..3 for=1: mean is of all values: for= is for ranges and over",
     ["check,motor.volts=..3 when=fault.hto"] = 'motor.volts=..3 when=fault.hto: motor has no flag "fault.hto", ' ..
       "but fault.hot, fault.stall; of a field, give a number or a range",
@@ -1676,7 +1675,6 @@ function T.test_wrong_options_are_named()
       "but volts, fault_flags, mode, clock",
     ["check,motor.volts.over(mode)=0:1..2"] = "motor.volts.over(mode)=0:1..2: the points are X:A..B;X:A..B, two or more",
     ["check,motor.volts.over(mode)=3:1..2;0:1..2"] = "motor.volts.over(mode)=3:1..2;0:1..2: 0 does not lie above 3",
-    ["check,motor.volts.over(mode)=0:1..2;3:1.."] = "motor.volts.over(mode)=0:1..2;3:1..: a limit is of all points, or of none",
   }
   for text, problem in pairs(expected) do
     lu.assertEquals(options_of.parse("yapp," .. text, CATALOGUE).problems[1], problem)

@@ -68,13 +68,17 @@ local Check = groups.class { lists_problems = true }
 --- See groups.class.
 M.new = Check.new
 
---- Return the plan of a message type, see stat.judge.
+--- Return the rules about the values of a message type.
 function Check:wants(message_type)
-  return judge.plan(self.options.rules, message_type)
+  local list = {}
+  for _, rule in ipairs(self.options.rules) do
+    if rule.field and rule.message == message_type then list[#list + 1] = rule end
+  end
+  return list
 end
 
-function Check:new_values(plan)
-  return judge.new(plan, self.spreads)
+function Check:new_values(rules_of_type)
+  return judge.new(rules_of_type, self.spreads)
 end
 
 function Check:add_values(group, event, longest) -- luacheck: no self
@@ -133,24 +137,25 @@ local function add_row(self, row)
   table.insert(self.rows, row)
 end
 
--- Return how far a value lies within its limits, and in percent of their range, or of the only one.
-local function margin_of(value, low, high)
+-- Return a margin in percent of the range of the limits, or of the only one; nil without either.
+local function percent_of(margin, low, high)
   local range = high - low
-  if range == math.huge then range = math.abs(high < math.huge and high or low) end
-  local margin = tonumber(("%.12g"):format(math.min(value - low, high - value)))
-  return margin, range > 0 and range < math.huge and margin / range * 100 or nil
+  if range == math.huge then range = math.min(math.abs(low), math.abs(high)) end
+  return range > 0 and range < math.huge and margin / range * 100 or nil
 end
 
 -- Set the margin of a row whose rule was judged: of numbers, not of counts and codes.
 -- found  of a measure
 local function set_margin(row, rule, found)
-  local one = found or { value = row.seen, low = rule.low, high = rule.high }
   row.worst = found and found.value
   if rule.kind.is_count or found and not field_kinds.is_number(rule.field) then return end
-  local margin, percent = margin_of(one.value, one.low, one.high)
-  row.margin, row.percent = margin, percent and tonumber(("%.3g"):format(percent))
+  local one = found or { value = row.seen, low = rule.low, high = rule.high }
+  local margin = math.min(one.value - one.low, one.high - one.value)
+  local percent = percent_of(margin, one.low, one.high)
+  row.margin = tonumber(("%.12g"):format(margin))
+  row.percent = percent and tonumber(("%.3g"):format(percent))
   if row.ok == OK and percent and percent < CLOSE then
-    row.note = row.note and row.note .. ", close to its limit" or "close to its limit"
+    row.note = (row.note and row.note .. ", " or "") .. "close to its limit"
   end
 end
 

@@ -8,11 +8,11 @@
 --   kind     a row of stat.kinds, or of the measures below
 --   low, high  the limits of what its measure returns
 --   message, field  compiled, nil for a rule about none
---   limits   of each value of the field, { low, high }, where the measure counts those outside; or
+--   least, most  the limits of each value of the field, where the measure counts those outside; or
 --            of `over`: other = a field, points = list of { x = its value, low, high }
 --   condition  of the messages that it judges, nil for all: {
 --     text     as the user wrote it
---     tests    list of { field, mask, is_not } for a flag, { field, low, high } for a number
+--     tests    list of { field, low, high }, with mask of a flag, whose value is 0 or 1
 --     after    seconds for which they must have held }
 --   hold     seconds for which values must be outside
 --   is_spread  true if it is about the spread of all sources
@@ -33,7 +33,6 @@ local demand, decimal, find = input.demand, input.decimal, input.find
 
 local INFINITE = math.huge
 local NO_VALUE = judge.NO_VALUE
-local ALL_RESERVED = judge.ALL_RESERVED
 local RANGE = "a range is A..B, A.. or ..B"
 local POINTS = "the points are X:A..B;X:A..B, two or more"
 local SAME_SEQ = "Seq No is constant"
@@ -66,36 +65,30 @@ local function has_special(check, group, field)
   end
 end
 
+-- A measure of the values that a rule judged.
 local function measure_values(group, rule, check)
-  local values, why = group.values[rule], judge.explain(group.values, rule)
-  if why then return nil, nil, why end
-  if values.count == 0 and not has_special(check, group, rule.field) then
-    return nil, nil, ALL_RESERVED
+  local values, kind = group.values[rule], rule.kind
+  local why = judge.explain(group.values, rule)
+  if not why and values.count == 0 and kind.name ~= "special" then
+    local is_known = kind.judges_values and has_special(check, group, rule.field)
+    why = not is_known and "all its values are reserved"
   end
-  local found = values.outside > 0 and values.worst or values.nearest -- empty if all are reserved
-  return values.outside, found.frame, judge.describe(values), found.value and found
-end
-
-local function measure_special(group, rule)
-  local values, why = group.values[rule], judge.explain(group.values, rule)
   if why then return nil, nil, why end
-  return (values.seen - values.count) / values.seen, nil, ("of %d values"):format(values.seen)
+  local found = values.outside > 0 and values.worst or values.nearest
+  return kind.value(values), found.frame, judge.describe(values), found.value and found
 end
 
-local function measure_mean(group, rule)
-  local values, why = group.values[rule], judge.explain(group.values, rule)
-  if why or values.count == 0 then return nil, nil, why or ALL_RESERVED end
-  return values.sum / values.count, nil, judge.describe(values)
-end
+local function count_outside(values) return values.outside end
+local function mean_of(values) return values.sum / values.count end
 
 -- Divide the mean of a source by the median of the other sources' means.
 local function measure_ratio(group, rule, check)
-  local own, _, note = measure_mean(group, rule)
+  local own, _, note = measure_values(group, rule, check)
   if not own then return nil, nil, note end
   local means = {}
   for _, other in ipairs(check.list) do
     local is_other = other ~= group and other.type == group.type
-    means[#means + 1] = is_other and measure_mean(other, rule) or nil
+    means[#means + 1] = is_other and measure_values(other, rule, check) or nil
   end
   if not means[1] then return nil, nil, "no other source of it has a value" end
   note = ("of %s"):format(output.count(#means, "other source"))
@@ -113,7 +106,7 @@ end
 -- name     of the measure
 -- text     a rule of it, as errors and docs/rules.md name it
 -- help     its meaning, for people
--- measure  see above
+-- measure  see above; value = function(series of stat.judge) -> what it is
 -- bound    the limit that a number is: "low" or "high"; is_count = true if it has no fraction
 -- takes_range  true if the limit may be A..B, A.. or ..B; nothing else if there is no bound
 -- judges_values  true if the limits are those of each value
@@ -159,6 +152,7 @@ M.OF_FIELD = {
     text = "MESSAGE.FIELD=A..B",
     help = "all values but reserved ones lie within",
     measure = measure_values,
+    value = count_outside,
     takes_range = true,
     judges_values = true,
   },
@@ -167,13 +161,15 @@ M.OF_FIELD = {
     text = "MESSAGE.FIELD.over(OTHER)=X:A..B;X:A..B",
     help = "all lie within limits that depend on OTHER, linear between the points X",
     measure = measure_values,
+    value = count_outside,
     judges_values = true,
   },
   {
     name = "special",
     text = "MESSAGE.FIELD.special=X",
     help = "at most this share of the values is reserved, 0.05 for 5 %",
-    measure = measure_special,
+    measure = measure_values,
+    value = function(values) return (values.seen - values.count) / values.seen end,
     bound = "high",
     can_fall = true,
   },
@@ -181,7 +177,8 @@ M.OF_FIELD = {
     name = "mean",
     text = "MESSAGE.FIELD.mean=A..B",
     help = "the mean of all values but reserved ones lies within",
-    measure = measure_mean,
+    measure = measure_values,
+    value = mean_of,
     takes_range = true,
     can_fall = true,
   },
@@ -190,7 +187,17 @@ M.OF_FIELD = {
     text = "MESSAGE.FIELD.ratio=A..B",
     help = "the mean, divided by the median of the other sources' means, lies within",
     measure = measure_ratio,
+    value = mean_of,
     takes_range = true,
+    can_fall = true,
+  },
+  {
+    name = "noise",
+    text = "MESSAGE.FIELD.noise=X",
+    help = "values lie in the mean at most X from the mean of their neighbours",
+    measure = measure_values,
+    value = function(values) return values.noisy > 0 and values.noise / values.noisy or 0 end,
+    bound = "high",
     can_fall = true,
   },
   {
@@ -206,13 +213,6 @@ M.OF_FIELD = {
 
 --- All of these rows.
 M.LIST = joined(M.OF_MESSAGE, M.OF_FIELD)
-
---- What may stand behind a rule about values.
-M.SUFFIXES = {
-  { name = "when", text = "when=CONDITION", help = "judge only while it holds, a flag or a range" },
-  { name = "after", text = "after=S", help = "only once it has held for S seconds" },
-  { name = "for", text = "for=S", help = "fail only if values are outside for S seconds" },
-}
 
 -- How many events of a kind there are.
 local function count_events(group, rule)
@@ -278,19 +278,13 @@ end
 
 -- Return the points of X:A..B;X:A..B.
 local function parse_points(text)
-  local points = {}
+  local points, last = {}, -INFINITE
   for part in text:gmatch("[^;]+") do
     local x, range = part:match("^(.-):(.*)$")
-    local point, last = { x = demand(x and decimal(x), POINTS) }, points[#points]
+    local point = { x = demand(x and decimal(x), POINTS) }
+    demand(point.x > last, "%s does not lie above %s", x, last)
     point.low, point.high = parse_range(range)
-    if last then
-      demand(point.x > last.x, "%s does not lie above %s", x, last.x)
-      for _, key in ipairs { "low", "high" } do
-        local is_open = math.abs(point[key]) == INFINITE
-        demand(is_open == (math.abs(last[key]) == INFINITE), "a limit is of all points, or of none")
-      end
-    end
-    points[#points + 1] = point
+    points[#points + 1], last = point, point.x
   end
   demand(#points > 1, POINTS)
   return points
@@ -307,10 +301,9 @@ local function set_limits(rule, text)
   else
     rule[measure.bound] = parse_number(text, measure.name, measure.is_count)
   end
-  if measure.judges_values then
-    rule.limits = { low = rule.low, high = rule.high }
-    rule.low, rule.high = -INFINITE, 0 -- of how many values lie outside
-  end
+  if not measure.judges_values then return end
+  rule.least, rule.most = rule.low, rule.high
+  rule.low, rule.high = -INFINITE, 0 -- of how many values lie outside
 end
 
 -- Return a field of a message type, whose values are numbers.
@@ -334,68 +327,77 @@ local function set_field(rule, name)
   demand(not (rule.source and rule.is_spread), "a %s is of all sources, not of one", kind.name)
 end
 
--- Return the test of a flag; nil, and the names that there are, if there is none of this name.
-local function find_flag(message, name)
+-- Return the flags of a message type, a list of { name = "status.enabled", field, mask }.
+local function list_flags(message)
   local rows = {}
   for _, field in ipairs(message.fields) do
-    if field.kind == "bool" then
-      rows[#rows + 1] = { name = field.name, field = field, mask = 0xFF }
-    end
-    for _, flag in ipairs(field.flags or {}) do
-      local own_name = flag.filter:sub(#message.filter + 2) -- status.enabled
-      rows[#rows + 1] = { name = own_name, field = field, mask = flag.mask }
+    for _, flag in ipairs(field.flags or { field.kind == "bool" and field or nil }) do
+      local name = flag.filter:sub(#message.filter + 2)
+      rows[#rows + 1] = { name = name, field = field, mask = flag.mask or 0xFF }
     end
   end
-  return find(rows, name)
+  return rows
 end
 
 -- Return the test of a part of a condition: FLAG, !FLAG, FIELD=NUMBER or FIELD=A..B.
 local function parse_test(message, text)
-  local is_not, name, value = text:match("^(!?)([^=]*)=?(.*)$")
-  local flag, names = find_flag(message, name)
+  local sign, name, value = text:match("^(!?)([^=]*)=?(.*)$")
+  local flag, names = find(list_flags(message), name)
   if flag then
     demand(value == "", "%s is a flag: write it without a value", name)
-    return { field = flag.field, mask = flag.mask, is_not = is_not ~= "" }
+    local state = sign == "" and 1 or 0
+    return { field = flag.field, mask = flag.mask, low = state, high = state }
   end
   demand(value ~= "", "%s has no flag %q, but %s; of a field, give a number or a range",
     message.name, name, names)
-  demand(is_not == "", "! is for flags")
+  demand(sign == "", "! is for flags")
   local test = { field = find_field(message, name), low = decimal(value) }
   test.high = test.low
   if not test.low then test.low, test.high = parse_range(value) end
   return test
 end
 
-local function set_suffix(rule, name, value)
-  local measure = rule.kind
-  if name == "for" then
-    demand(measure.judges_values, "%s is of all values: for= is for ranges and over", measure.name)
-    rule.hold = parse_number(value, name)
-    return
-  end
-  local condition = rule.condition or { text = "", tests = {}, after = 0 }
-  condition.text = condition.text .. (" %s=%s"):format(name, value)
-  rule.condition = condition
-  if name == "after" then
-    condition.after = parse_number(value, name)
-    return
-  end
-  for part in value:gmatch("[^&]+") do
-    table.insert(condition.tests, parse_test(rule.message, part))
-  end
-end
+--- What may stand behind a rule about values.
+M.SUFFIXES = {
+  {
+    name = "when",
+    text = "when=CONDITION",
+    help = "judge only while it holds, a flag or a range",
+    set = function(rule, value)
+      for part in value:gmatch("[^&]+") do
+        table.insert(rule.condition.tests, parse_test(rule.message, part))
+      end
+    end,
+  },
+  {
+    name = "after",
+    text = "after=S",
+    help = "only once it has held for S seconds",
+    set = function(rule, value) rule.condition.after = parse_number(value, "after") end,
+  },
+  {
+    name = "for",
+    text = "for=S",
+    help = "fail only if values are outside for S seconds",
+    set = function(rule, value)
+      local measure = rule.kind
+      demand(measure.judges_values, "%s is of all values: for= is for ranges and over",
+        measure.name)
+      rule.hold = parse_number(value, "for")
+    end,
+  },
+}
 
 -- Set what stands behind a rule: " when=C after=S for=S".
 local function set_suffixes(rule, text)
-  local given = {}
+  local condition = { text = text:gsub(" for=%S*", ""), tests = {}, after = 0 }
+  rule.condition = condition.text ~= "" and condition or nil
   for word in text:gmatch("%S+") do
     local name, value = word:match("^(%l+)=(.+)$")
     local suffix, names = find(M.SUFFIXES, name)
     demand(suffix, "%s is none of what may follow a rule: %s", word, names)
     demand(rule.field, "%s= is for rules about values, such as motor.dc_voltage=40..55", name)
-    demand(not given[name], "%s= stands twice", name)
-    given[name] = true
-    set_suffix(rule, name, value)
+    suffix.set(rule, value)
   end
 end
 
