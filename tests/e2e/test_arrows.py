@@ -10,7 +10,10 @@ import pytest
 import tshark
 
 bundle = tshark.bundle
+import levels
 import module_map  # noqa: E402 in tools/, where bundle is
+
+pytestmark = levels.without_tshark("reads the sources")
 
 FILES = module_map.files(tshark.ROOT)
 NAMES = [path.relative_to(tshark.ROOT).as_posix() for path in FILES]

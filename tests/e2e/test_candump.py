@@ -13,13 +13,11 @@ from pathlib import Path
 import pytest
 
 import levels
-import model
 import tshark
 from other_reader import OTHER_READER
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "test_captures"))
-import expected  # noqa: E402
 
 CAPTURES = ROOT / "test_captures"
 TSHARK = os.environ.get("TSHARK", "tshark")

@@ -75,11 +75,13 @@ def taurus(one):
 # The files -------------------------------------------------------------------------------------------------------
 
 @pytest.mark.parametrize("name", NAMES)
+@levels.without_tshark("compares two files")
 def test_the_text_makes_the_capture(name):
     path, content = make.capture(name)
     assert path.read_bytes() == content
 
 
+@levels.without_tshark("of make.py alone")
 def test_a_bad_crc_of_a_message_without_one():
     """A message that fits into one CAN frame has no CRC: its text asks for none that is bad."""
     assert make.Source("can0 fd [!200 00*65]\n").messages and make.Source("link pdu\n> [!0 00*7]\n").messages
@@ -88,6 +90,7 @@ def test_a_bad_crc_of_a_message_without_one():
             make.Source(line)
 
 
+@levels.without_tshark("of the folder alone")
 def test_nothing_else_lies_there():
     top = {path.name for path in tshark.CAPTURES.iterdir() if path.is_file()}
     assert top == {"README.md", "make.py", "expected.py", "flight.py"}
@@ -227,6 +230,7 @@ DOCUMENT_MOTOR = {"document_motor": 5, "document_motor_sll": 5, "document_motor_
                   "document_tcp": 1, "document_tcp_split": 3, "kernel_records": 5}
 
 
+@levels.without_tshark("of model.py alone")
 def test_the_model_says_what_the_document_says():
     header = bytes.fromhex("595000001002000020000000")
     assert make.crc32k(header + MOTOR) == crc32k(header + MOTOR) == 0xC76FBEBB

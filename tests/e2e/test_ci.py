@@ -81,6 +81,7 @@ def test_the_script(folder, project, flights, capture, change, code):
 
 
 @pytest.mark.parametrize("capture", levels.few(["nothing.pcapng", "text.pcapng", ".", ""], ["nothing.pcapng", "text.pcapng"]))
+@levels.without_tshark("of the script alone: no capture is found, nothing runs")
 def test_no_capture(folder, project, flights, capture):
     done = run([project / "ci/yapp-gate.sh", *arguments(capture and flights / capture)], folder)
     assert done.returncode not in (0, 20, 21) and done.stderr
@@ -284,6 +285,7 @@ def test_the_action(folder, project, flights, capture, change, code):
     assert (folder / "report/yapp.xml").exists()
 
 
+@levels.without_tshark("of the script alone: nothing runs")
 def test_the_action_without_a_capture(folder, project):
     assert action(project, {"capture": "nothing.pcapng", "rules": RULES}, folder) == (2, "code=2\n")
 
@@ -338,6 +340,7 @@ def test_the_command_of_the_page(folder, project, flights, capture, code):
     assert run(["bash", "-c", command], folder).returncode == code
 
 
+@levels.without_tshark("of the page alone")
 def test_the_page_names_every_input():
     assert re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)[:5] == ["capture", "rules", "sources", "messages", "junit"]
 

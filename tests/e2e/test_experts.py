@@ -151,6 +151,7 @@ def test_what_the_clocks_say(folder, name, seconds, frames, label):
         assert label in shown
 
 
+@levels.without_tshark("of the tables of the tests alone")
 def test_every_expert_item_has_a_capture():
     """That of yapp.copy: test_copies.py."""
     found = {row[0] for row in EXPERTS + KNOWN_LATER} | {row[0] for row in CLOCKS} | {"yapp.copy"}
@@ -202,6 +203,7 @@ CLAIMED = {
 }
 
 
+@levels.without_tshark("of the texts of the captures alone")
 def test_captures_that_need_the_preference():
     assert set(CLAIMED) == {name for name in make.names() if make.read(name).options == WIDE["-o"]}
 

@@ -54,6 +54,7 @@ def test_table(name, says):
         assert shown == {"yes": whole, "not Commands": whole[:-1]}[says], errors
 
 
+@levels.without_tshark("of the page alone")
 def test_table_has_every_file():
     assert {name for name, _ in table()} == {path.name for path in FOLDER.iterdir()} - {"make.py"}
 
@@ -152,6 +153,7 @@ def test_conversions(folder):
         assert messages(folder / "run.log")[0] == WHOLE["motor"], source
 
 
+@levels.without_tshark("reads the sources")
 def test_readers_hold_what_wireshark_hands_them():
     """A reader that does not name an argument does not hold it: collected while the reader reads, it is freed, and
     Wireshark writes into it afterwards.  4.4.18 ended with "malloc(): mismatching next->prev_size"."""

@@ -204,6 +204,7 @@ def test_fields(folder, seed, passes):
     assert unfinished == (planted if passes else set()) or not knows_all and unfinished <= planted
 
 
+@levels.without_tshark("of the tables of the tests alone")
 def test_each_field_that_is_worked_out_is_compared():
     """Here; elsewhere stands what test_captures.py and test_experts.py compare."""
     here = {name for name in published.of("field").keys() - model.filters().keys()

@@ -15,6 +15,8 @@ import levels
 import pytest
 import tshark
 
+pytestmark = levels.without_tshark("of the installer, with a tshark of its own")
+
 PYTHON = "/usr/bin/python3" if os.path.exists("/usr/bin/python3") else sys.executable
 PLUGINS = tshark.PERSONAL_FOLDER
 YAPP = PLUGINS / "yapp"

@@ -27,7 +27,10 @@ import types
 
 import flights
 import pytest
+import levels
 import tshark
+
+pytestmark = levels.without_tshark("of the live ports, most of which run no tshark")
 
 EXTCAP = next(root / "extcap/yapp_extcap.py" for root in (tshark.PLUGIN, tshark.ROOT) if (root / "extcap").exists())
 # YAPP_PYTHON: one with python-can and pyserial, where the system's has none.

@@ -45,6 +45,7 @@ def test_what_is_shown(german, name):
     assert shown(name, german, *arguments) == wanted
 
 
+@levels.without_tshark("of the C library")
 def test_the_german_is_one(german):
     """The locale has an effect: where no plugin is, tshark itself writes a comma."""
     command = f"LC_ALL={german['LC_ALL']} LOCPATH={german['LOCPATH']} bash -c 'printf %.1f 1'"

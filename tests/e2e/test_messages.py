@@ -58,6 +58,7 @@ def shown(name, *options):
 # The types -------------------------------------------------------------------------------------------------------
 
 @pytest.mark.parametrize("name", NAMES)
+@levels.without_tshark("compares two files")
 def test_the_text_makes_the_capture(name):
     assert (OWN / f"{name}.pcap").read_bytes() == pcap(name)
 

@@ -8,6 +8,7 @@ import shutil
 
 import pytest
 import make
+import levels
 import tshark
 
 PROFILE = tshark.ROOT / "profiles/YAPP"
@@ -71,6 +72,7 @@ def test_every_name_is_a_field(known):
     assert len(names) > 20 and names - known == set()
 
 
+@levels.without_tshark("reads the profile's files")
 def test_shape_of_the_tables():
     assert {len(row) for row in uat("dfilter_buttons")} == {4}
     assert all(row[0] == "TRUE" and row[1].startswith("YAPP//") and row[3] for row in uat("dfilter_buttons"))
@@ -162,6 +164,7 @@ def test_names_that_are_set_in_the_profile(home):
         path.write_text(before)
 
 
+@levels.without_tshark("reads the profile's files")
 def test_every_column_has_a_width():
     text = (PROFILE / "preferences").read_text()
     formats = [re.sub(":0:[RD]$", "", name) for name in re.findall(r'"(%[^"]+)"', text)]
@@ -169,12 +172,14 @@ def test_every_column_has_a_width():
     assert widths[::2] == formats and all(int(width) >= 50 for width in widths[1::2])
 
 
+@levels.without_tshark("reads the profile's files")
 def test_a_motor_that_stops_is_seen():
     """The highest value of a second hides it."""
     shown = {(row[5], row[6]) for row in uat("io_graphs") if row[0] == "Enabled"}
     assert {("MIN(Y Field)", "taurus.motor.rpm_measured"), ("MAX(Y Field)", "taurus.motor.rpm_measured")} <= shown
 
 
+@levels.without_tshark("reads the profile's files")
 def test_several_controllers_are_no_average_and_no_zigzag():
     for row in uat("io_graphs"):
         assert row[4] in ("Dot", "Plus", "Impulse") and not row[5].startswith("AVG"), row
@@ -227,6 +232,7 @@ def luminance(colour):
     return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear(colour)))
 
 
+@levels.without_tshark("reads the profile's files")
 def test_text_is_readable():
     """WCAG's contrast, 4.5 for text; what is coloured is coloured alike in dark mode."""
     for name, (_, back, front) in colour_rules().items():
@@ -258,6 +264,7 @@ def seen(colour, sight):
 
 
 @pytest.mark.parametrize("sight", SIGHT)
+@levels.without_tshark("reads the profile's files")
 def test_colours_can_be_told_apart(sight):
     """By everybody: 10 apart in CIELAB is two colours at a glance; the text's colour adds to it."""
     for (a, first), (b, second) in itertools.combinations(colour_rules().items(), 2):
@@ -267,6 +274,7 @@ def test_colours_can_be_told_apart(sight):
 
 @pytest.mark.parametrize("sight", SIGHT)
 @pytest.mark.parametrize("name", ["io_graphs", "plots"])
+@levels.without_tshark("reads the profile's files")
 def test_lines_can_be_told_apart(sight, name):
     """Those that are shown in one graph."""
     rows = [(row[1] if name == "plots" else "", row[2 if name == "plots" else 1], row[4 if name == "plots" else 3])

@@ -38,6 +38,7 @@ def test_the_inventory_says_what_wireshark_has():
     assert f"Periods: {periods}." in shown
 
 
+@levels.without_tshark("compares two tables of the tests")
 def test_the_vendors_names():
     """What follows from the tables of the document is there."""
     assert model.filters().items() <= published.of("field").items()

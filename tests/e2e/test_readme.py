@@ -71,6 +71,7 @@ def test_examples_print_what_they_say(folder, code, command, printed):
     assert done.returncode == int(code or 0)
 
 
+@levels.without_tshark("of the page alone")
 def test_all_examples_are_tried():
     commands = re.findall(r"^    (?:\$ )?((?:tshark|wireshark) .*)", FAULT, re.M)
     assert len(commands) == 6 and sum(command.startswith("wireshark") for command in commands) == 1
@@ -78,6 +79,7 @@ def test_all_examples_are_tried():
 
 
 @pytest.mark.parametrize("plan", flight_capture.PLANS, ids=lambda plan: plan.name)
+@levels.without_tshark("compares two files")
 def test_a_flight_is_made_by_its_script(plan):
     assert plan.target.read_bytes() == flight_capture.flight(plan)
 
@@ -122,6 +124,7 @@ def test_a_question_is_answered(flight, command):
         assert what in model.STATISTICS and done.stdout.startswith(f"YAPP {what}: ")
 
 
+@levels.without_tshark("of the page alone")
 def test_all_questions_are_tried():
     assert set(re.findall(r"-z yapp,(\w+)", " ".join(QUESTIONS))) == set(model.STATISTICS) and len(SEVERAL) == 2
 
@@ -157,6 +160,7 @@ def test_the_filters_of_the_help():
 
 # What they name ----------------------------------------------------------------------------------------------------
 
+@levels.without_tshark("of the page alone")
 def test_the_map_names_what_there_is():
     """Files and targets that CONTRIBUTING.md names are there."""
     paths, targets = re.findall(r"`((?:tests|tools|docs|test_captures)/[\w./]+)`", MAP), re.findall(r"\bmake ([a-z-]+)\b", MAP)

@@ -7,7 +7,10 @@ import subprocess
 import zipfile
 
 import pytest
+import levels
 import tshark
+
+pytestmark = levels.without_tshark("of git, make and the workflows")
 
 SYSTEM = "/usr/bin:/bin:/usr/sbin:/sbin"
 TAG = f"v{tshark.plugin_version()}"

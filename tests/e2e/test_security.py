@@ -60,6 +60,7 @@ def test_files_and_connections(folder):
         assert found.count(f" {call}(") == without.count(f" {call}("), call
 
 
+@levels.without_tshark("of the page alone")
 def test_the_page_names_them():
     page = " ".join((tshark.ROOT / "SECURITY.md").read_text().split())
     for name in ("`yapp_messages.lua`", "`yapp.messages`", "`YAPP_MESSAGES`", "`rules=`", "`preferences`", "`/proc/self`", "`-z yapp,csv`",

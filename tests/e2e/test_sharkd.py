@@ -13,7 +13,8 @@ import levels
 import stream_captures
 import tshark
 
-pytestmark = [levels.by_route, pytest.mark.skipif(not shutil.which("sharkd"), reason="sharkd is not installed")]
+pytestmark = [levels.by_route, levels.without_tshark("runs sharkd, which is a program of its own"),
+              pytest.mark.skipif(not shutil.which("sharkd"), reason="sharkd is not installed")]
 
 
 @pytest.fixture

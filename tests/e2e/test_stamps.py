@@ -202,11 +202,6 @@ def test_stamps_of_packets_and_of_whole_seconds(name, passes):
     assert_not_judged(CASES / name, *passes, faults=[("fault", what) for what in ("raised", "raised", "cleared", "cleared")])
 
 
-def test_that_is_seen():
-    with pytest.raises(AssertionError):
-        assert_not_judged(CASES / "udp_named_by_address.pcap")
-
-
 @pytest.mark.parametrize("seed", range(levels.size(2, 12)))
 def test_flights_with_coarse_stamps(folder, seed):
     """Of whole or of half seconds."""

@@ -149,6 +149,7 @@ def test_a_session_reset(count):
 def test_a_count_of_packets(options, is_said):
     done = tshark.run(*options, "-r", RESET, "-q", "-z", "yapp,check,crc=0", check=False)
     assert (done.returncode == 21, "packets were read, as -c stopped there" in done.stderr) == (is_said, is_said), done.stderr
+    assert "YAPP check: " in done.stdout
 
 
 # Files that end early ----------------------------------------------------------------------------------------------------
@@ -159,6 +160,7 @@ CUT = "the file ends early"
 def ends_early(path):
     """Whether a statistic says it, and its exit code.  Some versions end with a code of their own."""
     done = tshark.run("-r", path, "-q", "-z", "yapp,check,crc=0", check=False)
+    assert "YAPP check: " in done.stdout
     return CUT in done.stderr, done.returncode
 
 
@@ -210,4 +212,5 @@ def test_can_fd_without_its_flag():
     path = tshark.CAPTURES / "cases/canfd_without_fdf.pcapng"
     done = tshark.run("-r", path, "-q", "-z", "yapp,check,crc=0,dropped=71", "-z", "yapp,faults", check=False)
     is_refused = tshark.version() >= (4, 6)
+    assert "YAPP faults: " in done.stdout
     assert done.returncode == (20 if is_refused else 0) and ("this Wireshark does not dissect 72 packets" in done.stdout) == is_refused
