@@ -423,7 +423,7 @@ def test_eight_controllers_without_a_preference(folder, seq):
         assert [following for line, following in zip(said, said[1:]) if line.startswith("YAPP")] == [text] * len(model.IN_TEXT)
         for what in model.ON_STDERR if not passes and not seq else model.ON_STDERR[:1]:
             done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", f"yapp,{what}", check=False)
-            assert f"yapp: {text}\n" in done.stderr and done.returncode == (21 if what.startswith("faults") else 0), what
+            assert f"yapp: {text}\n" in done.stderr and done.returncode == (21 if what.startswith("fault") else 0), what
         done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,events,json")
         events = [json.loads(line) for line in done.stdout.splitlines()]
         found = {(line["bus"], line["id"]): line for line in events if line["kind"] == "unknown"}

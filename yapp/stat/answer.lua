@@ -179,19 +179,32 @@ local function count_drops(self, ending)
   end
 end
 
--- Return a text: how many damaged or lost messages may have had a fault; nil for none.
-local function hidden_faults_text(self, events)
-  local texts, missing = {}, 0
-  for _, state in ipairs(self.matched and NOTHING or events.states) do
+-- Return how many messages gaps have room for, and how many of these are in silences.
+local function count_missing(events)
+  local missing, silent = 0, 0
+  for _, state in ipairs(events.states) do
     if may_have_faults(state.source) then
-      missing = missing + state.room_at_end + (state.is_numbered and 0 or state.room)
+      missing = missing + state.room_at_end
+      if not state.is_numbered then
+        missing, silent = missing + state.room, silent + state.room_silent
+      end
     end
   end
+  return missing, silent
+end
+
+-- Return a text: how many damaged or lost messages may have had a fault; nil for none.
+local function hidden_faults_text(self, events)
+  local texts, missing, silent = {}, 0, 0
+  if not self.matched then missing, silent = count_missing(events) end
   for _, row in ipairs(kinds.LIST) do
     local count = row.hides and self.hiding[row.name]
     if count then texts[#texts + 1] = ("%d %s"):format(count, row.hides) end
   end
   if missing > 0 then texts[#texts + 1] = ("%d missing by their period"):format(missing) end
+  if silent > 0 then
+    texts[#texts + 1] = ("%d of them in silences that are listed"):format(silent)
+  end
   return texts[1] and "damaged or lost messages may hide faults: " .. table.concat(texts, ", ")
 end
 

@@ -124,6 +124,7 @@ local function new_state(source)
     shared_since = math.huge, -- number of the packet from which on two controllers share it
     room = 0, -- number of messages that have room in the gaps between its messages
     room_at_end = 0, -- the same behind the last one
+    room_silent = 0, -- how many of both are in silences
     orphan_seq = nil, -- of a message whose Start is lost, while its frames come
     unknown_seq = nil, -- the latest, see add_undissected
     -- Of a motor, in the unit of its message type's field `speed`:
@@ -284,8 +285,11 @@ local function add_span(self, state, last, event, change, advance)
     late = length
   end
   local is_even = advance and advance > 0 and not change.jump
-  state.room = state.room + room_of(event.source, is_even and advance or length)
-  if late then emit(self, "silence", last, { length = output.seconds(late) }, event.frame) end
+  local room = room_of(event.source, is_even and advance or length)
+  state.room = state.room + room
+  if not late then return end
+  state.room_silent = state.room_silent + room
+  emit(self, "silence", last, { length = output.seconds(late) }, event.frame)
 end
 
 local function add_message(self, state, event)
@@ -381,6 +385,7 @@ function Events:finish(length_since, has_times)
       state.room_at_end = room_of(last.source, length)
       if every and length > self.settings.late * every then
         local values = { length = output.seconds(length), is_last = true }
+        state.room_silent = state.room_silent + state.room_at_end
         self.hand_on(new_follower("silence", last, values))
       end
     end

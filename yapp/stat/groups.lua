@@ -263,14 +263,19 @@ end
 
 --- Return all groups by bus in the order in which buses showed, then by ID.  A stream itself has no
 -- ID and comes first.
-function Groups:sort()
-  local orders = {} -- [bus] = index of its first group
+-- by_controller  true if a controller's are together: by its name, else by the last digit of the ID
+function Groups:sort(by_controller)
+  local orders, controllers = {}, {} -- [bus] = index of its first group
   for i, group in ipairs(self.list) do
-    local bus = group.source.bus_key or false
+    local source = group.source
+    local bus = source.bus_key or false
     orders[bus] = orders[bus] or i
+    controllers[group] = orders[bus] * 16 + (source.id or 0) % 16
   end
   output.sort(self.list, function(group)
-    return orders[group.source.bus_key or false], group.source.id or -1
+    local source = group.source
+    local bus = orders[source.bus_key or false]
+    return by_controller and controllers[group] or bus, source.id or -1
   end)
   return self.list
 end

@@ -3,29 +3,30 @@
 -- when each flag rose and fell, on which source, for how long.  Pure Lua, 5.2 to 5.5.
 
 local buses = require "yapp.stat.buses"
+local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
+local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 
 local M = {}
 
-local WHEN_AND_WHO = {
-  { "time" },
-  { "rel" },
-  { "frame" },
-  { "who" },
-  { "bus" },
-  { "id" },
-  { "source" },
-}
+local ALL = "json text window"
+local WHEN = { { "time" }, { "rel" }, { "frame", where = ALL } }
+-- Kinds of events that may come often: in a window one line for each source and kind.
+local MERGED = input.set("clock missing dropped stale crc incomplete unfinished skipped invalid")
+local MORE = ", %d times up to %.3f s"
 -- JSON has it where it is, behind the other keys.
 local NEAR = { "near", type = "string", where = "text window",
   help = "the bus events within a second of a fault, a silence or a loss" }
 local KIND = { "kind", type = "string", where = "json",
   help = "what happened: `fault`, `reboot`, `silence` and others, see statistics.md" }
 -- A line of JSON has the keys of its kind alone, see stat.kinds.
-local EVENTS = output.columns(joined({ KIND }, WHEN_AND_WHO, {
-  { "message" },
+local EVENTS = output.columns(joined({ KIND }, WHEN, {
+  { "bus", where = ALL },
+  { "id", where = ALL },
+  { "source", where = ALL },
+  { "message", where = "json text" },
   { "kind", where = "text", title = "event" },
   { "details", where = "text window" },
   -- The values of the kinds:
@@ -42,7 +43,11 @@ local EVENTS = output.columns(joined({ KIND }, WHEN_AND_WHO, {
   { "like", type = "string", where = "", help = "of `unknown`: the message that has this size" },
   NEAR,
 }))
-local FAULTS = output.columns(joined(WHEN_AND_WHO, {
+local FAULTS = output.columns(joined(WHEN, {
+  { "who" },
+  { "bus" },
+  { "id" },
+  { "source" },
   { "message", where = "json text" },
   { "field", where = "json text" },
   { "flag" },
@@ -104,7 +109,7 @@ function M.event_row(context, event, ending)
   end
   if ending.lacks_times then row.active, row.after = nil, nil end
   local function fill(key) return output.text(row[key], true) end
-  row.details = kinds.BY_NAME[event.kind].text:gsub("{(%w+)}", fill)
+  row.details = kinds.BY_NAME[event.kind].text:gsub("{(%w+)}", fill) .. (event.more or "")
   return output.row(event.source, row)
 end
 
@@ -130,6 +135,29 @@ function M.count_text(count, ending)
   return shape:format(ending.unknown, output.count(ending.sources, "source"), count)
 end
 
+-- Return a list with one event for all of a source that are of a kind which may come often, and
+-- their sum.
+local function merge(list)
+  local merged, by_source = {}, memo(function() return {} end)
+  for _, event in ipairs(list) do
+    local firsts, kind = by_source[event.source], event.kind
+    local first = MERGED[kind] and firsts[kind]
+    if first then
+      first.times = first.times + 1
+      first.more = MORE:format(first.times, event.time or 0)
+      for key, value in pairs(first.values) do
+        if type(value) == "number" then first.values[key] = value + event.values[key] end
+      end
+    else
+      local values = {}
+      for key, value in pairs(event.values) do values[key] = value end
+      firsts[kind] = kinds.new_event(kind, event.frame, event.time, event.source, values)
+      firsts[kind].times, merged[#merged + 1] = 1, firsts[kind]
+    end
+  end
+  return merged
+end
+
 --- End, see stat.answer.
 function Lists:finish(ending, notes)
   local what, list, code = self.what, {}, nil
@@ -140,6 +168,7 @@ function Lists:finish(ending, notes)
   local count = #list
   if what == "events" then
     output.sort(list, order_of)
+    if self.context.frames and not self.context.json then list = merge(list) end
   else
     count = M.count_text(count_incidents(list), ending)
     code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil

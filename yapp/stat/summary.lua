@@ -6,14 +6,18 @@
 -- incomplete ones are counted separately.
 
 local groups = require "yapp.stat.groups"
+local joined = require "yapp.base.joined"
 local output = require "yapp.stat.output"
 
 local M = {}
+
+local unpack = rawget(table, "unpack")
 
 -- Besides, a column may have
 --   kind   the kind of event that it counts
 --   value  function(group) -> its value; without both it is group[key]
 --   needs_time  true if it means nothing without time stamps
+--   shape  a format of its value for people
 local COLUMNS = output.columns {
   { "who" },
   { "bus" },
@@ -21,7 +25,7 @@ local COLUMNS = output.columns {
   { "source" },
   { "message" },
   { "count", type = "integer", help = "good messages" },
-  { "rate", type = "number", unit = "Hz", needs_time = true, value = groups.rate,
+  { "rate", type = "number", unit = "Hz", needs_time = true, value = groups.rate, shape = "%.2f",
     help = "(count - 1) / (last - first)" },
   { "gap_min", type = "seconds", unit = "s", where = "json text", title = "gap/s min",
     needs_time = true,
@@ -41,7 +45,7 @@ local COLUMNS = output.columns {
     help = "silences between two messages" },
   -- JSON has it as an event.
   { "silent", where = "text window", title = "silent/s at the end", short = "silent/s" },
-  { "reboots", type = "integer", kind = "reboot", where = "json text",
+  { "reboots", type = "integer", kind = "reboot",
     help = "how often the controller's clock went back" },
   { "values", type = "values", where = "json", -- Summary:finish works it out
     help = "of each field of numbers `min`, `mean` and `max`" },
@@ -49,7 +53,7 @@ local COLUMNS = output.columns {
     help = "messages with a value that the catalogue does not define" },
   { "skipped", type = "integer", kind = "skipped", where = "json text",
     help = "stretches of bytes in a stream that belong to no frame" },
-  { "missing", type = "integer", kind = "missing", where = "json text",
+  { "missing", type = "integer", kind = "missing",
     help = "messages missing by Seq No" },
   { "copies", type = "integer", kind = "copies", where = "json text",
     help = "messages that were recorded a second time" },
@@ -77,15 +81,21 @@ local Summary = groups.class { follows_changes = true }
 --- See groups.class.
 M.new = Summary.new
 
-local function row_of(group, ending)
+-- is_window  true if a column that counts nothing is left out
+local function row_of(group, ending, is_window)
   local row = {}
   for _, column in ipairs(COLUMNS.all) do
     local key, value = column.key, nil
     if column.kind then
       value = groups.count(group, column.kind).seen
+      if is_window and value == 0 then value = nil end
     elseif not (column.needs_time and ending.lacks_times) then
       value = column.value and column.value(group) or group[key]
       if column.type == "seconds" then value = output.seconds(value) end
+      if value and column.shape then
+        value = { value = value, text = column.shape:format(value) }
+        value.short = value.text
+      end
     end
     row[key] = value
   end
@@ -95,7 +105,7 @@ end
 --- End, see stat.answer.
 function Summary:finish(ending, notes)
   local rows, shown, context = {}, {}, self.context
-  for i, group in ipairs(self:sort()) do
+  for i, group in ipairs(self:sort(not context.json)) do
     local names, ranges = {}, {}
     for j, values in ipairs(group.values) do
       local row = groups.row(group, values)
@@ -105,7 +115,7 @@ function Summary:finish(ending, notes)
         shown[#shown + 1] = row
       end
     end
-    rows[i] = row_of(group, ending)
+    rows[i] = row_of(group, ending, context.frames and not context.json)
     rows[i].values = output.object(names, ranges)
   end
   local sources = output.count(#rows, "source")
@@ -127,7 +137,7 @@ local COMPARED = output.columns {
   { "unit", type = "string", help = "its unit" },
   { "who", where = "text window" },
   { "min", where = "text window" },
-  { "mean", where = "text" }, -- the window of Summary has it
+  { "mean", where = "text window" },
   { "max", where = "text window" },
   { "spread", type = "number",
     help = "the largest difference of the sources at one time" },
@@ -144,20 +154,36 @@ local Compare = groups.class { compares = true }
 --- See groups.class.
 M.compare = Compare.new
 
--- Append the rows of a field: one for each source.  The first has the spread of all and the values
--- of JSON, which needs no other row.
-local function add_rows(self, list, index, rows)
-  local spread, sources, first, all = list[1].values[index].spread, {}, #rows + 1, {}
+-- Sort the rows of a field, the odd ones first: by how far their mean is from the median.  Return
+-- how odd the first one is: its distance beside the second one's, and 1 % of its values.
+local function sort_odd(rows)
+  local means, distances = {}, {}
+  for _, row in ipairs(rows) do means[#means + 1] = row.mean end
+  if not means[3] then return 0 end
+  local middle = groups.median(means)
+  for _, row in ipairs(rows) do distances[row] = math.abs((row.mean or middle) - middle) end
+  output.sort(rows, function(row) return -distances[row] end)
+  local first = rows[1]
+  local floor = distances[rows[2]] + (math.abs(middle) + first.max - first.min) / 100
+  return floor > 0 and distances[first] / floor or 0
+end
+
+-- Return the rows of a field: one for each source, the odd ones first; for JSON one.  The first has
+-- the spread of all.
+local function rows_of(self, list, index)
+  local spread, sources, rows = list[1].values[index].spread, {}, {}
   for i, group in ipairs(list) do
-    local row = groups.row(group, group.values[index])
-    sources[i], all[i] = output.object(OF_SOURCE, row), row
-    if i == 1 or not self.context.json then rows[#rows + 1] = row end
+    rows[i] = groups.row(group, group.values[index])
+    sources[i] = output.object(OF_SOURCE, rows[i])
   end
-  for i = 2, #all do all[i].field, all[i].unit = nil, nil end
-  local row, rel = rows[first], spread.rel
+  if self.context.json then rows = { rows[1] } end
+  rows.odd = sort_odd(rows)
+  for i = 2, #rows do rows[i].field, rows[i].unit = nil, nil end
+  local row, rel = rows[1], spread.rel
   row.spread, row.frame, row.rel = spread.worst, spread.frame, output.seconds(rel)
   row.time = rel and self.context.dates:value(rel)
   row.sources = output.list(sources)
+  return rows
 end
 
 -- Return the name of a group's source with numbers that sort as numbers: M2 before M10.
@@ -188,8 +214,10 @@ end
 function Compare:finish(_, notes)
   local context, lists = self.context, list_compared(self)
   for i, list in ipairs(lists) do
-    local rows = {}
-    for index in ipairs(list[1].values) do add_rows(self, list, index, rows) end
+    local fields = {}
+    for index in ipairs(list[1].values) do fields[index] = rows_of(self, list, index) end
+    output.sort(fields, function(rows) return -rows.odd end)
+    local rows = joined(unpack(fields))
     local title = ("YAPP compare: %d sources of %s"):format(#list, list[1].type.title)
     if i > 1 and not context.json then context.out("\n") end
     output.print(context, title, COMPARED, rows, notes)
