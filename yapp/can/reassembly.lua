@@ -67,9 +67,7 @@ function M.new(capture, on_unknown)
     transfers = {}, -- the message of a fragment, as it seems while several are open; false if it
     -- is of none
     kept_anomalies = {},
-    -- Of the newest frame:
-    anomalies = false,
-    keeps = true, -- true if it may be visited again
+    anomalies = false, -- of the newest frame
   }, Reassembly)
 end
 
@@ -196,16 +194,17 @@ local function leave_rest(self, message, is_taken, list)
   local chunks, rest, strangers, transfers = message.chunks, {}, {}, self.transfers
   for i = 2, #message do
     local distance, key, owner = #message - i, message[i], message
+    local is_kept = transfers[key] ~= nil
     if not is_taken[distance] then
       rest[distance], owner = true, heir_of(list, distance)
       if not owner and chunks[i - 1] == chunks[i - 2] then
         owner = message
-        if self.keeps then self.kept_anomalies[key] = DUPLICATES end
+        if is_kept then self.kept_anomalies[key] = DUPLICATES end
       elseif not owner then
         strangers[#strangers + 1] = key
       end
     end
-    if transfers[key] ~= nil then transfers[key] = owner end
+    if is_kept then transfers[key] = owner end
   end
   if strangers[1] then
     local text = "Fragments of no message: %d, the first in frame %d"
@@ -428,11 +427,11 @@ for ctrl = #ADDERS + 1, 15 do ADDERS[ctrl] = add_undefined end
 --          the message of a fragment or single frame, as it seems while several are open
 --          its list of anomalies, or false
 function Reassembly:add(frame)
-  local key, keeps = frame.key, not frame.is_only_pass
-  self.anomalies, self.keeps = false, keeps
+  local key = frame.key
+  self.anomalies = false
   local kind, message = ADDERS[frame.can_id.ctrl](self, frame)
   local anomalies = self.anomalies
-  if keeps then
+  if not frame.is_only_pass then
     local transfers, kept = self.transfers, self.kept_anomalies
     if kind == "fragment" or kind == "last" then
       transfers[key] = message or false

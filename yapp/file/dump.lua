@@ -17,35 +17,16 @@ local SKIPPED = DISSECTOR .. "yapp_skipped" .. UDP
 
 -- Times ------------------------------------------------------------------------------------------
 
--- A time is { seconds, nanoseconds = 0 to 999999999 }: 2^63 ns are too many for one number.
-local UNKNOWN = {}
-local ZERO = { 0, 0 }
-local SECOND = 1000000000
+-- A time is a number of nanoseconds, exact up to 2^53: a controller that runs for 104 days.
+local SECOND = 1e9
 local MAX_CLOCKS = 4 -- of an ID
-local MAX_STEP = 1 -- seconds
-
-local function sum(a, b)
-  local seconds, nanoseconds = a[1] + b[1], a[2] + b[2]
-  if nanoseconds >= SECOND then return { seconds + 1, nanoseconds - SECOND } end
-  return { seconds, nanoseconds }
-end
-
-local function difference(a, b)
-  local seconds, nanoseconds = a[1] - b[1], a[2] - b[2]
-  if nanoseconds < 0 then return { seconds - 1, nanoseconds + SECOND } end
-  return { seconds, nanoseconds }
-end
-
-local function is_before(a, b)
-  return a[1] < b[1] or a[1] == b[1] and a[2] < b[2]
-end
+local MAX_STEP = 1 * SECOND
 
 -- Return the clock of an ID that goes on with a stamp: the one that advances least.
 local function clock_of(clocks, stamp)
   local found
   for _, clock in ipairs(clocks) do
-    local may_be = not is_before(stamp, clock.last)
-    if may_be and not (found and is_before(clock.last, found.last)) then found = clock end
+    if clock.last <= stamp and not (found and clock.last < found.last) then found = clock end
   end
   return found
 end
@@ -64,7 +45,7 @@ end
 function Dump:stamp(finding)
   if finding.status ~= "good" then return nil end
   local seconds, nanoseconds = self.time_of(finding.bytes)
-  return seconds and { seconds, nanoseconds }
+  return seconds and seconds * SECOND + nanoseconds
 end
 
 -- Return how far the time of the dump is ahead of a clock that begins with this stamp.  Messages of
@@ -72,8 +53,8 @@ end
 -- forward; else time goes on from the latest record.
 --   latest record at 102.9 s, its clock 2.9 s: 3.0 s of another ID is 103.0 s, 0.05 s is 102.9 s
 local function shift_of(self, stamp)
-  local ahead = difference(sum(stamp, self.shift), self.time)
-  return ahead[1] >= 0 and ahead[1] < MAX_STEP and self.shift or difference(self.time, stamp)
+  local ahead = stamp + self.shift - self.time
+  return ahead >= 0 and ahead < MAX_STEP and self.shift or self.time - stamp
 end
 
 -- Advance the time of the dump by a stamp.  It never goes back: a controller that rebooted has
@@ -90,8 +71,7 @@ local function advance(self, id, stamp)
     if #clocks > MAX_CLOCKS then table.remove(clocks, 1) end
   end
   clock.last, self.shift = stamp, clock.shift
-  local time = sum(stamp, clock.shift)
-  if is_before(self.time, time) then self.time = time end
+  self.time = math.max(self.time, stamp + clock.shift)
 end
 
 --- Open a dump.
@@ -113,7 +93,7 @@ function M.open(file, options, head)
     is_over = false,
     time = nil, -- of the latest record; before that, the first time stamp of the file
     clocks = {}, -- by ID: list of { last = stamp, shift = of the dump's time from it }
-    shift = ZERO, -- of the clock of the latest message that has one
+    shift = 0, -- of the clock of the latest message that has one
     records = {}, -- [offset] = { length = bytes, tags = FRAME or SKIPPED, time }
   }, Dump)
   local has_frame, index = false, 1
@@ -153,7 +133,9 @@ end
 
 -- Return a record as Wireshark takes it.
 local function packet(record, offset, bytes)
-  return offset, record.tags .. bytes, record.time[1], record.time[2]
+  local time, data = record.time, record.tags .. bytes
+  if not time then return offset, data end
+  return offset, data, math.floor(time / SECOND), time % SECOND
 end
 
 --- Read the next record: a frame, or bytes of no frame.
@@ -168,7 +150,7 @@ function Dump:read(file)
   if stamp then advance(self, finding.bytes:sub(ID_FROM, ID_TO), stamp) end
   local record = {
     length = #finding.bytes,
-    time = self.time or UNKNOWN,
+    time = self.time,
     tags = finding.status == "skipped" and SKIPPED or FRAME,
   }
   self.records[finding.from] = record
