@@ -38,12 +38,12 @@ TIMES = {0x210: 22, 0x200: 0}  # where the time stamp is in the payload
 
 
 def stamp(event):
-    """The controller's own time in nanoseconds, None without one."""
+    """The controller's own time in nanoseconds, a double: exact up to 2^53, 104 days.  None without one."""
     if event.kind != "good" or event.ident not in TIMES or len(event.payload) < KNOWN[event.ident]:
         return None
     at = TIMES[event.ident]
     nanoseconds = struct.unpack("<q", event.payload[at:at + 8])[0]
-    return nanoseconds if nanoseconds >= 0 else None
+    return nanoseconds // 10**9 * 1e9 + nanoseconds % 10**9 if nanoseconds >= 0 else None
 
 
 def records(data):
@@ -56,7 +56,8 @@ def records(data):
     times = [stamp(event) for event in events]
     line = Line(next((time for time in times if time is not None), None))
     for event, time in zip(events, times):
-        event.time = line.now if time is None else line.go_on(event.ident, time)
+        now = line.now if time is None else line.go_on(event.ident, time)
+        event.time = None if now is None else int(now)
     return events
 
 
