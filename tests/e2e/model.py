@@ -23,7 +23,7 @@ YAPP = {name.removeprefix("yapp."): kind for name, kind in published.of("field")
 KINDS = {name: dict(word.partition("=")[::2] for word in line.split()) for name, line in published.of("kind").items()}
 RULES = [name for name, kind in KINDS.items() if not kind.keys() & {"counts_as", "is_optional"}]  # of `check` alone
 STATISTICS = published.of("statistic")
-IN_TEXT = [name for name in STATISTICS if name not in ("csv", "check")]  # a table, as text or as JSON
+IN_TEXT = [name for name in STATISTICS if name not in ("csv", "check", "watch")]  # a table, as text or as JSON
 ON_STDERR = [*(f"{name},json" for name in IN_TEXT), "csv,-,motor"]  # what is left out does not stand in the output
 
 FAULT = {

@@ -126,7 +126,7 @@ def test_a_question_is_answered(flight, command):
 
 @levels.without_tshark("of the page alone")
 def test_all_questions_are_tried():
-    assert set(re.findall(r"-z yapp,(\w+)", " ".join(QUESTIONS))) == set(model.STATISTICS) and len(SEVERAL) == 2
+    assert set(re.findall(r"-z yapp,(\w+)", " ".join(QUESTIONS))) == set(model.STATISTICS) - {"watch"} and len(SEVERAL) == 2
 
 
 def test_several_controllers(flight):

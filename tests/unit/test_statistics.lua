@@ -146,7 +146,7 @@ end
 -- The statistics whose answer has room for notes: { "summary", "faults", ... }; and what prints data
 -- alone: { "summary,json", ..., "csv,-,motor" }, without a verdict.
 local IN_TEXT, AS_DATA = {}, {}
-for _, row in ipairs(options_of.LIST) do
+for _, row in ipairs(options_of.MENUS) do
   if not row.table_only then IN_TEXT[#IN_TEXT + 1] = row.name end
   if row.name ~= "check" then AS_DATA[#AS_DATA + 1] = row.table_only and row.name .. ",-,motor" or row.name .. ",json" end
 end

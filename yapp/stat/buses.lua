@@ -275,10 +275,16 @@ local function row_of(self, bus, ending)
   return row
 end
 
---- End, see stat.answer.
-function Buses:finish(ending, notes)
+--- Return the row of each bus.
+function Buses:rows(ending)
   local rows = {}
   for i, bus in ipairs(self.list) do rows[i] = row_of(self, bus, ending) end
+  return rows
+end
+
+--- End, see stat.answer.
+function Buses:finish(ending, notes)
+  local rows = self:rows(ending)
   output.print(self.context, ("YAPP buses: %d"):format(#rows), COLUMNS, rows, notes)
 end
 

@@ -59,6 +59,8 @@ local COLUMNS = output.columns {
 }
 --- The columns, see output.columns.
 M.COLUMNS = COLUMNS
+--- The verdict `ok` of a row whose rule does not hold.
+M.FAILED = FAILED
 
 local NONE = "no message came that this rule applies to"
 local CLOSE = 5 -- percent of the range: what held by less is marked
@@ -159,6 +161,11 @@ local function set_margin(row, rule, found)
   end
 end
 
+-- Return whether no later packet can mend a rule that failed.
+local function is_final(kind)
+  return not (kind.can_fall or kind.bound == "low")
+end
+
 -- Add the verdict on a rule.
 -- seen ...  of a measure
 local function add_verdict(self, rule, group, seen, frame, note, found)
@@ -174,6 +181,7 @@ local function add_verdict(self, rule, group, seen, frame, note, found)
     seen = seen,
     frame = frame,
     note = reason or note,
+    is_final = is_final(rule.kind),
   })
   if ok ~= UNJUDGED then set_margin(row, rule, found) end
   add_row(self, row)
@@ -233,15 +241,21 @@ end
 
 -- The end ---------------------------------------------------------------------------------------
 
+--- Judge all rules; return the rows.
+function Check:judge(ending)
+  self.ending, self.rows = ending, {}
+  self.counts = { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
+  for _, rule in ipairs(self.options.rules) do judge_rule(self, rule) end
+  return self.rows
+end
+
 --- End, see stat.answer.
 -- returns  the exit code, and a text on errors other than rules, nil for none
 function Check:finish(ending, notes)
   local options, context = self.options, self.context
-  local counts = { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
   local problems = joined(ending.problems, options.problems)
-  self.ending, self.rows, self.counts = ending, {}, counts
-  for _, rule in ipairs(options.rules) do judge_rule(self, rule) end
-  local judged = joined(self.rows)
+  local judged = joined(self:judge(ending))
+  local counts = self.counts
   for _, text in ipairs(problems) do add_row(self, { ok = UNJUDGED, note = text }) end
   local problem = write_report(self)
   if problem then

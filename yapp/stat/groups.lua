@@ -134,13 +134,18 @@ function M.class(class)
   return setmetatable(class, { __index = Groups })
 end
 
---- Return the fields of a message type whose values are gathered: here numbers that are no codes.
-function Groups:wants(message_type) -- luacheck: no self
+--- Return the fields of a message type that are numbers and no codes.
+function M.numbers_of(message_type)
   local list = {}
   for _, field in ipairs(joined(message_type.fields, message_type.generated)) do
     if field_kinds.is_number(field) then list[#list + 1] = field end
   end
   return list
+end
+
+--- Return the fields of a message type whose values are gathered.
+function Groups:wants(message_type) -- luacheck: no self
+  return M.numbers_of(message_type)
 end
 
 --- Make the values of a source.

@@ -32,6 +32,7 @@ function M.new(rules, spreads)
       beyond = 0, -- number of values outside the points of `over`
       -- Of the number nearest to a limit; room = how far it lies within, negative if outside.
       nearest = { room = INFINITE },
+      frame = nil, -- of the latest number that was judged: its value, room, low, high
       outside = 0, -- number of values that break the rule; worst = the farthest, like nearest
       worst = { room = 0 },
       stretch = nil, -- of values outside in a row: { since, count, worst }
@@ -108,6 +109,8 @@ end
 local function judge(series, value, low, high, event)
   local room, above = value - low, high - value
   if above < room then room = above end
+  series.value, series.room, series.low, series.high = value, room, low, high
+  series.frame = event.frame
   if room < 0 or room < series.nearest.room then
     value, low, high = round(series.field, value), clean(low), clean(high)
     room = clean(math.min(value - low, high - value))
@@ -190,6 +193,29 @@ function M.add(state, event, longest)
       groups.update_spread(series, value or NO_NUMBER, event, longest)
     end
   end
+end
+
+-- Return how far the latest number lies within its limits: the share of their range, or of the only
+-- limit.
+local function share_of(series)
+  local low, high = series.low, series.high
+  local range = high - low
+  if range == INFINITE then range = math.abs(high < INFINITE and high or low) end
+  return range > 0 and series.room / range or series.room
+end
+
+--- Return the number of a message that is nearest to its limit, the latest message being in this
+-- frame: { rule, value, share }, where share is negative outside; nil for none.
+function M.latest(state, frame)
+  local nearest = { share = INFINITE }
+  for _, series in ipairs(state) do
+    local share = series.frame == frame and share_of(series) or INFINITE
+    if share < nearest.share then
+      local value = round(series.field, series.value)
+      nearest = { rule = series.rule, value = value, share = share }
+    end
+  end
+  return nearest.rule and nearest
 end
 
 --- Return why a rule judged no value of a source; nil if it did.

@@ -13,6 +13,7 @@ local kinds = require "yapp.stat.kinds"
 local lists = require "yapp.stat.lists"
 local rules_of = require "yapp.stat.rules"
 local summary = require "yapp.stat.summary"
+local watch = require "yapp.stat.watch"
 
 local M = {}
 
@@ -131,6 +132,18 @@ local function parse_fault(options, part)
   options[name == "" and "number" or "at"] = tonumber(number)
 end
 
+local function parse_watch(options, part, catalogue)
+  local name, value = part:match("^(%l+)%s*=%s*(.*)$")
+  if name == "rules" then return read_rules(options, value, catalogue) end
+  if name == "bitrate" then return parse_buses(options, part) end
+  if name ~= "stop" or not (value == "fault" or value == "rule") then refuse(options) end
+  options.stop = value
+end
+
+local function finish_watch(options)
+  demand(options.stop ~= "rule" or options.rules[1], "stop=rule is about rules=FILE")
+end
+
 -- The statistics ----------------------------------------------------------------------------------
 
 -- name     behind -z yapp,
@@ -143,6 +156,7 @@ end
 -- help     its meaning, for people
 -- ask      the question of a menu; the answer follows the name
 -- file     the name of a new file that a menu suggests
+-- is_live  true if it shows packets while they come, in tshark alone
 -- reads_frames  true if it reads all CAN frames, see stat.buses
 -- table_only  true if its output has no room for notes
 -- looks_for_faults  true if it must say which messages may hide a fault, as it does not list them
@@ -225,8 +239,25 @@ M.LIST = {
     help = "whether all is well, or rules hold",
     ask = "Rules (empty: check everything)",
   },
+  {
+    name = "watch",
+    title = "Watch",
+    new = watch.new,
+    columns = watch.COLUMNS,
+    options = "json, rules=FILE, stop=fault, stop=rule, bitrate=BITS",
+    parse = parse_watch,
+    finish = finish_watch,
+    help = "the controllers, once a second while packets come",
+    looks_for_faults = true,
+    is_live = true,
+  },
 }
 
+--- The rows with a menu.
+M.MENUS = {}
+for _, row in ipairs(M.LIST) do
+  if not row.is_live then M.MENUS[#M.MENUS + 1] = row end
+end
 --- The rows by name.
 M.BY_NAME = {}
 for _, row in ipairs(M.LIST) do M.BY_NAME[row.name] = row end

@@ -261,6 +261,11 @@ function M.sort(list, order_of)
   end)
 end
 
+--- Return a name with numbers that sort as numbers: M2 before M10.
+function M.sortable(name)
+  return (name:gsub("%d+", function(digits) return format("%012d", digits) end))
+end
+
 local function itself(row)
   return row
 end

@@ -37,6 +37,8 @@ function M.new(settings, stamps, hint)
     stamps = stamps,
     hint = hint,
     answers = {},
+    live = nil, -- a statistic that is shown while packets come, see stat.watch
+    second = os.time(), -- of the wall clock, when it was shown
   }, Run)
   self.dates = dates.new() -- until a time is known, if ever, of 1970
   self:reset()
@@ -65,6 +67,7 @@ end
 function Run:add(statistic, options)
   local one = answer.new(self.settings, statistic, options)
   table.insert(self.answers, one)
+  if statistic.tick then self.live = statistic end
   return one
 end
 
@@ -135,6 +138,7 @@ function Run:packet(number, rel, has_clock)
     if self.waiting[1] then self.offered = joined(self.waiting, self.offered) end
     self.waiting, self.number = self.offered, nil
   end
+  if self.live then self:tick() end
 end
 
 local function ignore() end
@@ -192,6 +196,48 @@ local function deliver_rest(self, capture)
   deliver_waiting(self, true)
 end
 
+-- Return how things stand, for statistics.
+-- capture  see Run:finish
+local function new_ending(self, capture)
+  local stamps, step, last = self.stamps, self.step, self.last or 0
+  local lacks_times = explain_times(self, capture)
+  -- Behind a step back of the clock, a lower bound: from there on.  Behind several, the stamps of
+  -- recorders may alternate: then nothing tells.
+  local function length_since(event)
+    if lacks_times or self.steps > 1 then return 0 end
+    local from = event.frame < step.number and step.time or event.time
+    return kinds.span(stamps:even(from), stamps:even(last))
+  end
+  return {
+    last = self.last, -- seconds from the first packet to the last one, nil for none
+    length_since = length_since, -- function(event) -> seconds from a message to the end
+    events = self.events,
+    begin = self.dates.seconds + self.dates.nanoseconds / 1e9, -- of the first packet
+    -- Why no message was found, nil if one was:
+    reason = explain_nothing_found(self, capture.extended),
+    lacks_times = lacks_times,
+    are_coarse = lacks_times == COARSE_TIMES, -- then messages recorded twice are still found
+    sets = stamps.sets, -- when the capture's clock was set forward
+    steps = self.steps, -- how often its stamps went back
+    -- Wishes of the user that were not met, and why not all was read: texts.
+    problems = joined(self.settings.problems, capture.problems),
+    unread = capture.unread, -- the same in short if packets were left out
+    drops = capture.drops,
+    hint = self.hint,
+  }
+end
+
+local NOTHING_KNOWN = { extended = 0, problems = {}, drops = {} } -- before the end
+
+--- Show a live statistic once a second, and when it wants to end the run.
+function Run:tick()
+  local live, now = self.live, os.time()
+  local pause = now - self.second
+  if pause == 0 and not live.must_stop then return end
+  self.second = now
+  live:tick(new_ending(self, NOTHING_KNOWN), pause)
+end
+
 --- End: all packets have come.
 -- capture  {
 --   results      of Reading:finish
@@ -203,34 +249,9 @@ end
 -- returns  the exit code, and a list of texts to say
 function Run:finish(capture)
   deliver_waiting(self, true)
-  local stamps, step, last = self.stamps, self.step, self.last or 0
-  local lacks_times = explain_times(self, capture)
   deliver_rest(self, capture)
-  -- Behind a step back of the clock, a lower bound: from there on.  Behind several, the stamps of
-  -- recorders may alternate: then nothing tells.
-  local function length_since(event)
-    if lacks_times or self.steps > 1 then return 0 end
-    local from = event.frame < step.number and step.time or event.time
-    return kinds.span(stamps:even(from), stamps:even(last))
-  end
-  self.events:finish(length_since, not lacks_times)
-  local reason = explain_nothing_found(self, capture.extended)
-  local ending = {
-    last = self.last, -- seconds from the first packet to the last one, nil for none
-    length_since = length_since, -- function(event) -> seconds from a message to the end
-    events = self.events,
-    begin = self.dates.seconds + self.dates.nanoseconds / 1e9, -- of the first packet
-    reason = reason, -- why no message was found, nil if one was
-    lacks_times = lacks_times,
-    are_coarse = lacks_times == COARSE_TIMES, -- then messages recorded twice are still found
-    sets = stamps.sets, -- when the capture's clock was set forward
-    steps = self.steps, -- how often its stamps went back
-    -- Wishes of the user that were not met, and why not all was read: texts.
-    problems = joined(self.settings.problems, capture.problems),
-    unread = capture.unread, -- the same in short if packets were left out
-    drops = capture.drops,
-    hint = self.hint,
-  }
+  local ending = new_ending(self, capture)
+  self.events:finish(ending.length_since, not ending.lacks_times)
   local code, texts = output.EXIT_OK, {}
   for _, one in ipairs(self.answers) do
     local worse, text, notes = one:finish(ending)

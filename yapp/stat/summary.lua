@@ -7,6 +7,7 @@
 
 local groups = require "yapp.stat.groups"
 local joined = require "yapp.base.joined"
+local kinds = require "yapp.stat.kinds"
 local output = require "yapp.stat.output"
 
 local M = {}
@@ -81,9 +82,10 @@ local Summary = groups.class { follows_changes = true }
 --- See groups.class.
 M.new = Summary.new
 
+--- Return the row of a source; its values are in JSON alone.
 -- is_window  true if a column that counts nothing is left out
-local function row_of(group, ending, is_window)
-  local row = {}
+function M.row(group, ending, is_window)
+  local row, names, ranges = {}, {}, {}
   for _, column in ipairs(COLUMNS.all) do
     local key, value = column.key, nil
     if column.kind then
@@ -99,6 +101,11 @@ local function row_of(group, ending, is_window)
     end
     row[key] = value
   end
+  for i, values in ipairs(group.values) do
+    local of_field = groups.row(group, values)
+    names[i], ranges[of_field.field] = of_field.field, output.object(RANGE, of_field)
+  end
+  row.values = output.object(names, ranges)
   return output.row(group.source, row) -- its own columns
 end
 
@@ -106,17 +113,11 @@ end
 function Summary:finish(ending, notes)
   local rows, shown, context = {}, {}, self.context
   for i, group in ipairs(self:sort(not context.json)) do
-    local names, ranges = {}, {}
-    for j, values in ipairs(group.values) do
+    for _, values in ipairs(context.json and kinds.NOTHING or group.values) do
       local row = groups.row(group, values)
-      if context.json then
-        names[j], ranges[row.field] = row.field, output.object(RANGE, row)
-      elseif row.min then
-        shown[#shown + 1] = row
-      end
+      if row.min then shown[#shown + 1] = row end
     end
-    rows[i] = row_of(group, ending, context.frames and not context.json)
-    rows[i].values = output.object(names, ranges)
+    rows[i] = M.row(group, ending, context.frames and not context.json)
   end
   local sources = output.count(#rows, "source")
   local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.last or 0)
@@ -186,10 +187,8 @@ local function rows_of(self, list, index)
   return rows
 end
 
--- Return the name of a group's source with numbers that sort as numbers: M2 before M10.
 local function sortable_name(group)
-  local name = output.row(group.source, {}).who
-  return (name:gsub("%d+", function(digits) return ("%012d"):format(digits) end))
+  return output.sortable(output.row(group.source, {}).who)
 end
 
 -- Return the groups of each message that has several: for people by name, first the message with

@@ -15,6 +15,8 @@ local windows = require "yapp.stat.windows"
 
 local M = {}
 
+local HAS_SHELL = package.config:sub(1, 1) == "/"
+local DEFAULT_WIDTH, DEFAULT_HEIGHT = 80, 24 -- of a terminal
 local STEP = 10000 -- packets from one note of progress to the next
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
 local MAY_GO_ON = gui_enabled() and not yapp_is_whole -- a live capture; a page opens whole ones
@@ -249,6 +251,41 @@ local function tap_filter(self, filter)
   error(("the filter %s is not one: %s"):format(filter, why), 0)
 end
 
+-- The terminal --------------------------------------------------------------------------------
+
+-- Return the width and height of the terminal.
+local function terminal_size()
+  local stty = io.popen("stty size 2>/dev/null </dev/tty")
+  local height, width = stty:read("*a"):match("(%d+) (%d+)")
+  stty:close()
+  return tonumber(width) or DEFAULT_WIDTH, tonumber(height) or DEFAULT_HEIGHT
+end
+
+-- Let a live statistic draw in the terminal, if there is one, and end the run.
+local function add_terminal(self, context)
+  local is_terminal = HAS_SHELL and os.execute("test -t 1")
+  context.json = context.json or not is_terminal
+  context.terminal = {
+    size = terminal_size,
+    has_no_color = (os.getenv("NO_COLOR") or "") ~= "",
+    -- tshark's own packet list scrolls.
+    in_place = function()
+      local wants = self.wants.first_pass
+      return not (wants and wants.columns)
+    end,
+  }
+  function context.flush() return io.stdout:flush() end
+  -- SIGINT ends a capture, and its file is whole.  While a file is read, SIGINT ends tshark without
+  -- an answer.  os.execute ignores SIGINT, io.popen does not.
+  function context.stop()
+    if HAS_SHELL and self.buses.found.is_live then
+      io.popen("kill -INT $PPID"):close()
+    else
+      self.conclude()
+    end
+  end
+end
+
 -- Begin the statistic of an argument of -z.
 -- context  { out, frames } of output.print
 local function begin_statistic(self, text, context)
@@ -260,8 +297,10 @@ local function begin_statistic(self, text, context)
   local filter = options.filter and tap_filter(self, options.filter)
   context.dates, context.settings = events.dates, self.settings
   context.json, context.make_folder = options.json, make_folder
+  if options.row.is_live and not context.frames then add_terminal(self, context) end
   local statistic = options.row.new(options, context)
-  if options.row.reads_frames then tap_frames(self, statistic, options.filter) end
+  local reads_frames = options.row.reads_frames or options.bitrate
+  if reads_frames then tap_frames(self, statistic, options.filter) end
   local deriver = events:add(statistic, options)
   if filter then
     filter.packet = self.counted(function(pinfo) deriver.matched[pinfo.number] = true end)
@@ -317,7 +356,8 @@ end
 local function begin_argument(self, text)
   if not self.current then
     open(self)
-    self.taps[1].draw = function() conclude(self) end
+    self.conclude = function() conclude(self) end
+    self.taps[1].draw = self.conclude
   end
   begin_statistic(self, text, { out = function(chunk)
     local ok, problem = io.stdout:write(chunk)

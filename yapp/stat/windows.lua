@@ -176,7 +176,7 @@ local help
 
 local function open_help()
   local lines, rules = "", ""
-  for _, row in ipairs(options_of.LIST) do
+  for _, row in ipairs(options_of.MENUS) do
     lines = lines .. ("%-15s%s\n"):format(row.title, row.help)
   end
   for _, row in ipairs(joined(rules_of.LIST, rules_of.SUFFIXES)) do
@@ -200,7 +200,7 @@ function M.register(stat)
     end, stat)
   end
 
-  for _, row in ipairs(options_of.LIST) do
+  for _, row in ipairs(options_of.MENUS) do
     local argument = "yapp," .. row.name
     local function on_answer(answer)
       if answer then
