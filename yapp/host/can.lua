@@ -29,7 +29,7 @@ Dissector.__index = Dissector
 -- settings     its accepts_all: the preference yapp.all_extended
 -- headers      a host.header
 function M.new(reading, view, wants, buses, settings, headers)
-  local self = setmetatable({
+  return setmetatable({
     reading = reading,
     view = view,
     wants = wants,
@@ -38,8 +38,6 @@ function M.new(reading, view, wants, buses, settings, headers)
     headers = headers,
     frame = false, asked = false, -- see Dissector:reset
   }, Dissector)
-  headers:use(function(...) self:dissect(...) end, function(...) self:report(...) end)
-  return self
 end
 
 --- Forget the capture file.
@@ -47,6 +45,7 @@ function Dissector:reset()
   -- True if the bus of a frame has to be asked for.
   self.bus_is_per_packet = self.buses.bus_is_per_packet
   self.newest_key = 0 -- of the frames that were read: one above it is new
+  self.unclaimed, self.newest_unclaimed = 0, 0 -- see Dissector:count_unclaimed
   self.frame = records.new_can_frame()
   self.asked = false -- the answer of Wants:ask that the frame has
 end
@@ -58,10 +57,9 @@ local function find_bus(self, frame, pinfo)
 end
 
 -- Find out whether the current frame is a revisit, and which parts of it are wanted.
--- is_deferred  true if it comes from a tap, where Wireshark calls every packet visited
--- returns      see Wants:ask
-local function ask(self, frame, pinfo, tree, is_deferred)
-  local visited = frame.key <= self.newest_key and not is_deferred and pinfo.visited
+-- returns  see Wants:ask
+local function ask(self, frame, pinfo, tree)
+  local visited = frame.key <= self.newest_key and pinfo.visited
   local wants = self.wants:ask(tree, pinfo, visited)
   frame.visited = visited
   frame.is_only_pass, frame.wants_state = wants.is_only_pass, wants.state
@@ -74,15 +72,10 @@ function Dissector:is_second_pass(number)
   return frame_key.number(self.newest_key) > number
 end
 
--- Return how many bytes are ours of a frame of zeros that is not dissected now: none of a remote
--- frame, all of one that waits for a tap; nil to dissect it.
-local function pass_over(self, frame, tvb, pinfo, id)
-  if frame.visited and frame.can_id.ctrl ~= 0 then return nil end -- it was taken for a fragment
-  local headers = self.headers
-  local is_remote = headers:is_remote(pinfo)
-  if is_remote then return 0 end
-  local waits = is_remote == nil and headers:remember(tvb, pinfo, true, id, frame.accepts_all)
-  return waits and frame.reported or nil
+-- Return whether a frame of zeros is a remote frame.
+local function is_remote(self, frame, pinfo)
+  if frame.visited and frame.can_id.ctrl ~= 0 then return false end -- it was taken for a fragment
+  return self.headers:is_remote(pinfo)
 end
 
 -- Return the result of the current frame.
@@ -95,10 +88,9 @@ end
 --- Dissect one frame.
 -- id           29-bit CAN id
 -- accepts_all  true if the user says that every extended frame is YAPP
--- length       of a deferred frame, whose Tvb does not know it: its bytes on the bus; else nil
 -- returns      the number of bytes that are ours, 0 for a frame that is not
-function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
-  local reported, data = length or reported_of(tvb), ""
+function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
+  local reported, data = reported_of(tvb), ""
   if length_of(tvb) > 0 then -- else raw() would throw past Lua: not even pcall catches that
     data = raw_of(tvb)
   elseif reported == 0 then
@@ -117,22 +109,29 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
   -- A frame above the newest one is new, and in tshark's first pass all frames want the same.
   local wants = self.wants.first_pass
   if key <= self.newest_key or wants ~= self.asked then
-    wants = ask(self, frame, pinfo, tree, length)
+    wants = ask(self, frame, pinfo, tree)
   end
-  local passed = ZEROS[data] and pass_over(self, frame, tvb, pinfo, id)
-  if passed then return passed end
+  if ZEROS[data] and is_remote(self, frame, pinfo) then return 0 end
   local result = read(self, frame)
-  if not result then
-    self.headers:remember(tvb, pinfo)
-    return 0
-  end
+  if not result then return 0 end
   if wants.shows or not result.is_usual then self.view:show(result, wants, tvb, pinfo, tree) end
   return reported
 end
 
---- Report a frame that no dissector accepted: it may be a message.
-function Dissector:report(frame, pinfo)
+--- Count a frame that no dissector accepted, once, if it is an extended data frame, and report it:
+-- it may be a message.
+function Dissector:count_unclaimed(tvb, pinfo)
+  local id = length_of(tvb) > 0 and self.headers:find_id(pinfo)
+  if not id then return end
+  local frame = records.new_can_frame()
+  frame.number, frame.time, frame.visited = pinfo.number, pinfo.rel_ts, pinfo.visited
+  frame.key = frame.number * PACKET + offset_of(tvb)
+  frame.can_id = fields_of[id]
+  frame.seq, frame.data, frame.reported = frame.can_id.seq, raw_of(tvb), reported_of(tvb)
   if self.bus_is_per_packet then find_bus(self, frame, pinfo) end
+  if frame.key > self.newest_unclaimed then
+    self.newest_unclaimed, self.unclaimed = frame.key, self.unclaimed + 1
+  end
   self.reading:report_undissected(frame)
 end
 
@@ -151,22 +150,13 @@ end
 --- Dissect a frame that did not come through the table of ids: the user says that it is YAPP.
 -- returns  the number of bytes that are ours, 0 for no extended data frame
 function Dissector:dissect_any(tvb, pinfo, tree)
-  local headers = self.headers
-  local id, is_unknown = headers:find_id(pinfo)
-  -- From the next frame on the id is known.  Of frames that Wireshark shows once more, its columns
-  -- and trees have it.
-  if is_unknown or not pinfo.visited then headers:start() end
+  local id, is_unknown = self.headers:find_id(pinfo)
+  if id then return self:dissect(tvb, pinfo, tree, id, true) end
   local reported = reported_of(tvb)
-  if id then
-    local length = self:dissect(tvb, pinfo, tree, id, true)
-    if length > 0 then headers:forget() end
-    return length
-  end
   if not is_unknown or reported == 0 then return 0 end
-  self.wants:ask(tree, pinfo, pinfo.visited) -- now: a tap has no tree
-  if not (length_of(tvb) > 0 and headers:remember(tvb, pinfo, true, nil, true)) then
-    self.view:show_without_id(pinfo, tree)
-  end
+  self.headers:start() -- from the next frame on the id is known
+  self.wants:ask(tree, pinfo, pinfo.visited)
+  self.view:show_without_id(pinfo, tree)
   return reported
 end
 

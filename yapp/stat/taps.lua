@@ -28,6 +28,8 @@ local GOES_ON = "only %s were read: of a live capture with -b tshark analyses th
 local RESET = "only %d of %d packets were read, as tshark -M forgets what came before: leave it out"
 local STOPPED = "only %s were read, as -c stopped there: leave it out"
 local CUT = "the file ends early, so what came last is missing: its recorder did not close it"
+-- A filter of error frames.  It names the fields of host.header, so that a tree has them.
+local ERROR_FRAMES = "can.flags.err == 1 && !can.id && !can.flags.xtd && !can.flags.rtr"
 local REFUSED = "this Wireshark does not dissect %s, as CAN FD without its flag FDF: use 4.4"
 -- COMPAT 4.6: earlier versions dissect CAN FD without its flag.
 local REFUSES_FRAMES = not get_version():find("^4%.[0-5]%.")
@@ -101,18 +103,17 @@ local function tap_packets(self)
   local function has_clock() return select(2, buses:has_times()) end
 
   -- Every packet comes here, so nothing else is called that need not be.
-  function tap.packet(pinfo, tvb)
+  function tap.packet(pinfo)
     -- Packets that come while Wireshark revisits those of a live capture are revisited, too.
     if not IS_TSHARK and pinfo.number ~= self.current.packets + 1 then return end
     calls.begun = calls.begun + 1
-    if headers.waiting then headers:on_packet(pinfo, tvb) end
     local wants = is_waiting and asker.first_pass -- known once a packet has YAPP
     if wants then
       is_waiting = false
       -- A tap that is called before the last packet is dissected is so in tshark's only pass.
       if not self.frames:is_second_pass(pinfo.number) then
         asker:set_only_pass()
-        headers:use_taps(wants)
+        headers:stop() -- see tap_bus_errors
       end
     end
     if self.current.packets == 0 then
@@ -128,7 +129,6 @@ local function tap_packets(self)
   function tap.reset()
     if not IS_TSHARK and self.current.packets > 0 then return end
     self.current:reset()
-    self.headers:open()
   end
 end
 
@@ -143,7 +143,7 @@ end
 -- Wireshark hands error frames to no dissector.
 local function tap_bus_errors(self)
   self.bus_sources = memo(function(bus) return { bus = self.buses:name(bus or nil) } end)
-  tap_can(self, "can.flags.err == 1", function(source, pinfo, tvb)
+  tap_can(self, ERROR_FRAMES, function(source, pinfo, tvb)
     local values = buses_of.read_error(tvb:raw())
     self.current:add_bus_error(
       kinds.new_event("bus_errors", pinfo.number, pinfo.rel_ts, source, values))
@@ -178,7 +178,6 @@ local function open(self)
   self.command = command.options()
   self.current, self.taps = run_of.new(self.settings, self.buses.stamps, hint_of(self.command)), {}
   self.reading:listen(self.current)
-  self.headers:open()
   self.watch()
   tap_packets(self)
   tap_bus_errors(self)
@@ -188,7 +187,6 @@ end
 local function close(self)
   for _, tap in ipairs(self.taps) do tap:remove() end -- a tap that stays would build trees for ever
   self.reading:listen(false)
-  self.headers:close()
 end
 
 -- Return whether -c may have stopped the reading of a file.
@@ -235,7 +233,7 @@ local function finish(self)
     results = reading:finish(MAY_GO_ON),
     drops = joined(buses:drops(), reading:drops(), self.refused),
     lacks_times = not buses:has_times(),
-    extended = self.headers.extended,
+    extended = self.frames.unclaimed,
     problems = joined({ failed }, { unread }, { reloaded },
       { explain_refused(self) }, { explain_undecoded(self) }),
     unread = unread and "not all packets were read",
