@@ -455,7 +455,7 @@ def test_the_reader_of_another_plugin_keeps_its_files(kind, name, folder):
 
 @pytest.mark.skipif(not shutil.which("sharkd"), reason="sharkd is not installed")
 def test_one_file_after_another(folder):
-    """What one file was named says nothing of the next; a file that was refused may have grown."""
+    """What one file was named says nothing of the next; a file that was refused may have grown.  Runs sharkd, no tshark."""
     tshark.install_plugin(folder / tshark.PERSONAL_FOLDER / "yapp")
     text = b"login: " * 50
     files = [("run.bin", text + ONE, False), ("run.yapp", text + ONE, True), ("run.bin", text + ONE, False),
