@@ -19,10 +19,7 @@ function M.new(types, buses)
   return setmetatable({
     types = types,
     buses = buses,
-    by_address = memo(function() -- [from][to][ports, kind and bus] = a line
-      return memo(function() return {} end)
-    end),
-    adapters = {}, -- lines of USB, by name
+    by_key = {}, -- the lines, by key_of; of USB by name
     by_bus = memo(function() return {} end), -- [bus of UDP and TCP][ID] = a source
     commands = memo(function(of_type) -- [message type] = true if controllers receive it
       for _, other in ipairs(types.messages) do
@@ -65,9 +62,9 @@ local function bus_of(self, address, port)
   return self.types:names_bus(with_port) and with_port or address
 end
 
--- Return a number for the kind, the ports and the bus of a packet.
-local function number_of(kind, port, to_port, bus)
-  return ((bus or 0) * 0x100 + kind) * 2 ^ 32 + port * 0x10000 + to_port
+-- Return a text for one direction of a conversation on a bus.
+local function key_of(kind, from, port, to, to_port, bus)
+  return ("%d %s %d %s %d %d"):format(kind, from, port, to, to_port, bus or 0)
 end
 
 --- Return the line of a packet.
@@ -76,8 +73,8 @@ end
 -- to, to_port    of the receiver
 -- bus            number, nil for none
 function Lines:of(kind, from, port, to, to_port, bus)
-  local lines, number = self.by_address[from][to], number_of(kind, port, to_port, bus)
-  local line = lines[number]
+  local key = key_of(kind, from, port, to, to_port, bus)
+  local line = self.by_key[key]
   if line then return line end
   if M.is_ip(kind, from) then
     local name = bus_of(self, from, port)
@@ -85,60 +82,49 @@ function Lines:of(kind, from, port, to, to_port, bus)
     line.receiver, line.has_address = bus_of(self, to, to_port), true
     line.interface = self.buses:name(nil, true)
     line.is_tcp, line.is_datagram = kind == M.TCP, kind == M.UDP
-    local opposite = self.by_address[to][from][number_of(kind, to_port, port, bus)]
+    local opposite = self.by_key[key_of(kind, to, to_port, from, port, bus)]
     if opposite then line.conversation = opposite.conversation end
   else
     line = new_line(self.buses:name(bus, false), "serial")
     line.label, line.is_complete = bus and line.bus, kind == M.UDP
     self.has_serial = true
   end
-  lines[number] = line
+  self.by_key[key] = line
   return line
 end
 
 --- Return the line of an endpoint of a USB adapter.
 -- name, device  of serial.usb
 function Lines:of_adapter(name, device)
-  local line = self.adapters[name]
+  local line = self.by_key[name]
   if not line then
     line = new_line(name, device)
     line.has_address = true
-    self.adapters[name] = line
+    self.by_key[name] = line
   end
   return line
 end
 
--- Make the source of the messages of a line with an ID.
--- bus_key  of a Command and its answers
-local function new_source(self, line, id, bus, bus_key)
-  if not id then return { bus = bus, bus_key = bus_key } end
-  local source = self.types:new_source(id, bus_key, bus, line)
-  source.skipped = self:source(line)
-  return source
-end
-
--- Return the source of a line of UDP or TCP, which all lines of a controller share.  It receives
--- the Commands, and sends all else.
-local function shared_source(self, line, id)
-  local of_type = id and self.types:type_of(id, line.receiver)
-  local bus = of_type and self.commands[of_type] and line.receiver or line.bus
-  local sources = self.by_bus[bus]
-  local key = id or false
-  sources[key] = sources[key] or new_source(self, line, id, bus, bus)
-  return sources[key]
-end
-
---- Return the source of the messages of a line with an ID, see message.types.  It has also
---   skipped  the source of bytes of no frame: { bus, bus_key }
--- id  nil for the source of these bytes
+--- Return the source of the messages of a line with an ID, see message.types.  In UDP and TCP all
+-- lines of a controller share it: a controller receives the Commands, and sends all else.
+-- id  nil for the source of bytes of no frame: { bus, bus_key }, which the others have as `skipped`
 function Lines:source(line, id)
   local key = id or false
   local source = line.sources[key]
-  if not source then
-    source = line.receiver and shared_source(self, line, id) or
-      new_source(self, line, id, line.bus, line.bus_key)
-    line.sources[key] = source
+  if source then return source end
+  local bus, bus_key, sources = line.bus, line.bus_key, line.sources
+  if line.receiver then
+    local of_type = id and self.types:type_of(id, line.receiver)
+    if of_type and self.commands[of_type] then bus = line.receiver end
+    bus_key, sources = bus, self.by_bus[bus]
   end
+  source = sources[key]
+  if not source and id then
+    source = self.types:new_source(id, bus_key, bus, line)
+    source.skipped = self:source(line)
+  end
+  source = source or { bus = bus, bus_key = bus_key }
+  sources[key], line.sources[key] = source, source
   return source
 end
 
