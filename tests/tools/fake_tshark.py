@@ -84,7 +84,7 @@ def main(arguments):
         if what == "csv":
             write(Path(rest[0]), flight)
         else:
-            assert rest[0] == "json", rest
+            assert rest[-1] == "json", rest
             for record in flight.get(what, []):
                 print(json.dumps(record))
     return code

@@ -578,6 +578,8 @@ def test_several_flights_on_one_page_and_an_index(make_capture, yapp_tables, tmp
     assert data["names"] == ["a.pcapng: can0 0x210", "b.pcapng: can0 0x210"]
     assert data["length"] == pytest.approx(2.9)
     assert data["sources"][0]["colour"] == data["sources"][1]["colour"]
+    titles = [(one["title"], len(one["lines"])) for one in data["figures"]]
+    assert titles == [("Measured speed", 2), ("Interval between messages", 2)]
     assert yapp_tables("report", "?.pcapng", "--out", "pages").returncode == 0
     index = (tmp_path / "pages/index.html").read_text()
     links = re.findall(r"href='(.*?)'", index)

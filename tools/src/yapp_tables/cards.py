@@ -70,12 +70,15 @@ def _is_shown(messages: Mapping[str, Message], message: str, name: str) -> bool:
 
 def _change(row: Record, messages: Mapping[str, Message]) -> str:
     if row["flag"]:
-        words = ["off", "on"]
-        return f"{row['flag']} {words[int(row['from'])]} → {words[int(row['to'])]}"
+        words = {0: "off", 1: "on", None: "no value"}
+        return f"{row['flag']} {words[row['from']]} → {words[row['to']]}"
     times = f" ({row['times']:.1f} times)" if row["times"] and not 0.67 < row["times"] < 1.5 else ""
     values = _column(messages, row).values
-    ends = [values.get(int(each)) or _number(each, row["unit"]) for each in (row["from"], row["to"])]
-    return f" {ends[0]} → {ends[1]} {row['unit'] or ''}{times}, {_number(row['at_fault'], row['unit'])} at the fault"
+    ends = [
+        "no value" if each is None else values.get(int(each)) or _number(each, row["unit"])
+        for each in (row["from"], row["to"], row["at_fault"])
+    ]
+    return f" {ends[0]} → {ends[1]} {row['unit'] or ''}{times}, {ends[2]} at the fault"
 
 
 def _event(row: Record) -> str:

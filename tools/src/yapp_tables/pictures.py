@@ -128,7 +128,8 @@ class Pictures:
             wanted = [speed[0] if speed else None, supply[1] if supply else None, *part.fields(*DEGREES)[:1]]
             wanted += [supply[0] if supply else None]
             first += [f"{part.message.name}.{one.name}" for one in wanted if one]
-        return sorted(self.figures, key=lambda one: first.index(one["key"]) if one["key"] in first else len(first))
+        figures = overlaid(self.figures)
+        return sorted(figures, key=lambda one: first.index(one["key"]) if one["key"] in first else len(first))
 
     def _limited(self, part: Part) -> list[Record]:
         """Say which values were outside the limits of the rules."""
@@ -226,6 +227,7 @@ class Pictures:
                 points = {"x": self._keep(across[kept], "<f4"), "y": self._keep(up[kept], "<f4")}
                 lines.append({"source": who, "name": title, "odd": np.flatnonzero(is_odd[kept]).tolist()} | points)
         about = {"title": title, "message": part.message.title, "lines": lines, "marks": [], "unit": axes[1].unit}
+        about["key"] = ""
         self.clouds.append(about | {"across": f"{axes[0].title}, {axes[0].unit}", "odd": []})
 
     def _times(self, times: Array) -> int:
@@ -254,7 +256,8 @@ class Pictures:
             row = {"begins": [each[0] for each in held], "ends": [each[1] for each in held]}
             rows += [row | {"source": who, "texts": texts}] if held else []
         kind = "fault" if is_alarm else column.role
-        self.lanes.append({"title": column.title, "message": part.message.title, "kind": kind, "rows": rows})
+        about = {"title": column.title, "message": part.message.title, "key": column.name}
+        self.lanes.append(about | {"kind": kind, "rows": rows})
 
     def _fold(self, part: Part, column: Column) -> None:
         """Say what a state was all the time."""
@@ -265,6 +268,16 @@ class Pictures:
                 groups.setdefault(text, []).append(self.sources[who]["label"])
         texts = list(groups) if len(groups) == 1 else [f"{text} ({', '.join(who)})" for text, who in groups.items()]
         self.level.append(f"{column.title}: {', '.join(texts)}")
+
+
+def overlaid(pictures: list[Record]) -> list[Record]:
+    """Return pictures of several flights with one for each value: those of later flights lie over the first one's."""
+    found: dict[tuple[str, str, str], Record] = {}
+    for one in pictures:
+        first = found.setdefault((one["title"], one["message"], one["key"]), one)
+        if first is not one:
+            first |= {name: first[name] + one[name] for name in ("lines", "marks", "odd", "rows") if name in one}
+    return list(found.values())
 
 
 def _apart(speed: list[Array], current: list[Array]) -> tuple[list[Array], list[float]]:

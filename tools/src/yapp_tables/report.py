@@ -30,13 +30,14 @@ from .limits import Limits
 from .matrix import Matrix
 from .multiples import Multiples
 from .palette import css
-from .pictures import MARKS, Pictures, Record, first_of, packed
+from .pictures import MARKS, Pictures, Record, first_of, overlaid, packed
 from .records import controllers
 from .records import incidents as count_incidents
 from .scratch import write_whole
 from .sources import source_name
 from .verdict import causes, head, headline, merged, named
 
+LANES = ("fault", "event", "enum", "flag")
 VALUES = {"message": "message", "title": "field", "unit": "unit", "source": "source"}
 VALUES |= {name: name for name in ("min", "mean", "max")}
 
@@ -155,8 +156,10 @@ class Report:
             "names": list(numbers),
             "times": pictures.times,
             "figures": pictures.ordered(),
-            "clouds": pictures.clouds,
-            "lanes": sorted(pictures.lanes, key=lambda lane: ("fault", "event", "enum", "flag").index(lane["kind"])),
+            "clouds": overlaid(pictures.clouds),
+            "lanes": sorted(
+                overlaid(pictures.lanes), key=lambda lane: ("fault", "event", "enum", "flag").index(lane["kind"])
+            ),
             "level": pictures.level,
             "blob": pictures.blob(),
         }
@@ -257,7 +260,9 @@ class Report:
         """The events on the time axis: a lane for each kind and source; one that does not last is a mark."""
         lanes: dict[str, Record] = {}
         for row in others:
-            lane = lanes.setdefault(row["what"], {"title": row["what"], "message": "", "kind": "event", "rows": {}})
+            lane = lanes.setdefault(
+                row["what"], {"title": row["what"], "message": "", "key": "", "kind": "event", "rows": {}}
+            )
             source = self.pictures.source(row["source"], row)
             marks = lane["rows"].setdefault(source, {"source": source, "texts": [], "begins": [], "ends": []})
             at = row["at"][:: -(-len(row["at"]) // MARKS)]

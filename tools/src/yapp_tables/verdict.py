@@ -231,10 +231,11 @@ def head(data: Record) -> dict[str, str]:
 
 
 def _cause(one: Record) -> str:
-    said = "; ".join(
+    ends = [";"] * (len(one["said"]) - 1) + ["."]
+    said = " ".join(
         f"<button type=button class='row {'bad' if each['bad'] else ''}' {_zoom(each['begin'], each['end'])}>"
-        f"{html.escape(each['text'])}</button>" for each in one["said"])  # fmt: skip
-    return f"<li><b>{html.escape(one['who'])}</b>: {said}.</li>"
+        f"{html.escape(each['text'])}{end}</button>" for each, end in zip(one["said"], ends, strict=True))  # fmt: skip
+    return f"<li><b>{html.escape(one['who'])}</b>: {said}</li>"
 
 
 def _phases(data: Record) -> str:
