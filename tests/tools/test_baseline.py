@@ -15,10 +15,12 @@ from collections import Counter
 from decimal import Decimal
 from pathlib import Path
 
+import aircraft
 import flights
+import numpy as np
 import pytest
 from running import PLUGIN, run_tables
-from yapp_tables import baseline
+from yapp_tables import baseline, loads
 
 NAMES = {("can0", 0x210): "fl", ("can0", 0x211): "fr", ("can1", 0x210): "rl", ("can1", 0x211): "rr"}
 SOURCES = ",".join(
@@ -101,7 +103,7 @@ def _controller(rng, odd, number, length, ambient, battery, phases, deviation):
         time += (0.1 / 0.85 if deviation == "slow" else 0.1) + rng.uniform(-0.003, 0.003)
 
 
-def judge(path, rules):
+def judge(path, rules, options=OPTIONS):
     """Return the exit code, and the names of the rules that do not hold."""
     command = [
         "tshark",
@@ -110,7 +112,7 @@ def judge(path, rules):
         path,
         "-X",
         f"lua_script:{PLUGIN}",
-        *OPTIONS,
+        *options,
         "-z",
         f"yapp,check,rules={rules},json",
     ]
@@ -222,7 +224,7 @@ def test_ratios():
 def test_a_ratio_has_half_of_the_room():
     found = row((1, 1), (1, 1), ("1.2", "1.2"))
     rules = [
-        baseline._rule("", f"m.x.{measure}", found, found, (Decimal(0), Decimal(0)), Decimal("0.1"))
+        baseline._rule("", f"m.x.{measure}", (found, found, (Decimal(0), Decimal(0))), Decimal("0.1"))
         for measure in ("mean", "ratio")
     ]
     # Above: 2.5 % of 1.2, and twice 0.2; below: 2.5 % of 1.
@@ -348,6 +350,67 @@ def test_what_no_limits_can_be_learnt_from(learnt, tmp_path, cut, code, text):
 
 def test_a_margin_that_is_none(learnt):
     assert "10 is not a share such as 10%" in learn(learnt, "good0.pcapng", "--margin", "10", code=2)
+
+
+def samples_of(flight, x, y):
+    return loads.Samples(flight, np.arange(len(x)) / 10, {"x": np.array(x, float), "y": np.array(y, float)}, {})
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_lasts(seed):
+    """Of each stretch of so many periods its least value, of these the largest; not over a gap or a reserved value."""
+    rng, length = random.Random(seed), random.Random(seed).randrange(0, 5)
+    values = [rng.choice([math.nan, *range(9), *range(9)]) for _ in range(40)]
+    one = samples_of("a", values, values)
+    one.times[20:] += 1
+    kept = [[value for value in part if value == value] for part in (values[:20], values[20:])]
+    windows = [part[at : at + length + 1] for part in kept for at in range(len(part) - length)]
+    assert loads.held(one, one.values["x"], length, 0.1) == (max(map(min, windows)), min(map(max, windows)))
+
+
+def test_limits_over_another_field():
+    """y is x squared, and a bit more or less in each flight: limits lie beyond that, and hold at each point."""
+    rng, found = random.Random(3), []
+    for number in range(10):
+        x = [rng.uniform(10, 20) for _ in range(300)]
+        found.append(samples_of(f"f{number}", x, [at**2 * (1 + 0.01 * (number - 5) / 5) for at in x]))
+    (finding,) = loads._over("left", "m", found, ("y", "x"), (10, 0.1))
+    assert (finding.source, finding.what, len(finding.found)) == ("left", "m.y.over(x)", 10)
+    low, high = (fold(end for row in finding.found for end in row[:2]) for fold in (min, max))
+    text = finding.write(str(low), str(high))
+    assert text.startswith("m.y.over(x)=")
+    assert text.endswith(" for=1")
+    points = [re.fullmatch(r"(.*):(.*)\.\.(.*)", part).groups() for part in text[12:-6].split(";")]
+    assert len(points) == loads.POINTS
+    for at, bottom, top in (map(float, point) for point in points):
+        assert at**2 * 0.9 < bottom < at**2 < top < at**2 * 1.1
+    assert list(loads._over("left", "m", found[:2], ("y", "x"), (10, 0.1))) == [] or loads.having(found[:2], "y") == []
+
+
+def test_a_rule_is_tried_on_flights_that_have_no_part_in_it():
+    """Nine flights show 1; one shows 100, which limits of the others do not cover: the rule is a comment."""
+    alike = row(*[(1, 1)] * 9)
+    for more, lost in (
+        ([], ""),
+        ([(Decimal(100), Decimal(100), "odd")], "flights differ too much: 1 of 10 do not keep it"),
+    ):
+        found = alike + more
+        assert baseline._rule("", "m.x.mean", (found, found, (Decimal(0), Decimal(0))), Decimal("0.1")).lost == lost
+
+
+def test_what_aircraft_show_under_load(tmp_path):
+    """One with a worn controller: a propeller that is lost, and noise, break rules that a good flight keeps."""
+    names = [aircraft.write(tmp_path / f"good{seed}.pcapng", "worn", seed).name for seed in range(6)]
+    learn(tmp_path, *names, options=aircraft.options("worn"))
+    text = (tmp_path / "flight.rules").read_text()
+    speed = [f"{name}.over(rpm_measured)=" for name in ("dc_current", "dc_power", "torque_iq_measured")]
+    for rule in (*speed, "motor_temperature.over(dc_current)=", "rpm_error.noise="):
+        assert re.search(rf"^motor\.{re.escape(rule)}.* # .* in good\d", text, re.M), rule
+    for seed, defect, code in ((50, None, 0), (51, "propeller", 20), (52, "noise", 20)):
+        path = aircraft.write(tmp_path / "flight.pcapng", "worn", seed, defect)
+        found, broken = judge(path, tmp_path / "flight.rules", aircraft.options("worn"))
+        assert found == code, (defect, broken)
+    assert any(".noise=" in rule for rule in broken)
 
 
 def trial(folder):

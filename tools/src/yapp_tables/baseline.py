@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from . import __version__
+from . import __version__, loads
 from .config import Config
 from .errors import CaptureError, count_of
 from .scratch import scratch
@@ -27,6 +27,10 @@ NOISE = Decimal("0.1")  # of the margin, beyond an extreme of 0
 # What differs from flight to flight, such as speed and battery, is the same for all controllers: their ratio keeps to
 # this share of the room.
 ROOM_OF_RATIO = Decimal("0.5")
+COMPARED = ("A", "RPM", "°C")  # units of the fields that have a ratio
+UPPER = ("gap", "spread", "noise")  # measures with an upper limit only
+LEAST_TRIED = 4  # flights: fewer say nothing of one that has no part
+ROOMS = (Decimal(1), Decimal("1.5"), Decimal("2.5"))  # of a limit, until each flight keeps it that has no part in it
 LEAST_LOAD = Decimal("0.1")  # of the largest current, that a mean is where a ratio tells something
 HEAD = """\
 # Learnt by yapp-tables {version} from {flights}, with a margin of {margin} %.
@@ -60,24 +64,42 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
     folder = os.path.commonpath([capture.parent for capture in captures])
     names = [os.path.relpath(capture, folder) for capture in captures]
     with ThreadPoolExecutor(os.cpu_count()) as pool, scratch() as aside:
+        folders = [Path(aside, str(number)) for number in range(len(captures))]
+        for path in folders:
+            path.mkdir()
+            (path / "rules").symlink_to(Path(aside, "rules"))
 
         def ask(*statistics: str) -> list[tuple[list[Record], list[str]]]:
-            return list(pool.map(lambda path: config.of(path)[0].ask(path, str(aside), statistics), captures))
+            def one(path: Path, own: Path) -> tuple[list[Record], list[str]]:
+                return config.of(path)[0].ask(path, str(own), statistics)
 
-        told = dict(zip(names, ask("summary,json", "compare,json", "check,json"), strict=True))
+            return list(pool.map(one, captures, folders))
+
+        told = dict(zip(names, ask("csv,csv", "summary,json", "compare,json", "check,json"), strict=True))
         flights = {name: records for name, (records, _) in told.items()}
         extremes = _extremes(flights)
         if not extremes:
             raise CaptureError(f"no message was decoded in {', '.join(names)}")
+        fields = config.of(captures[0])[0].fields()[0]
+        samples = loads.by_source(
+            [row for name, own in zip(names, folders, strict=True) for row in loads.read(own / "csv", name, fields)]
+        )
+        extremes |= loads.noises(fields, samples)
+        writers = {}
+        for finding in loads.findings(fields, samples):
+            if len({end for low, high, _ in finding.found for end in (low, high)}) < 2:
+                continue  # none, or what never differs: its range says it
+            extremes[finding.source, finding.what] = finding.found
+            writers[finding.source, finding.what] = finding.write
         rules = _counted(flights, margin)
         apart = _least_apart(extremes)
         for (source, what), found in extremes.items():
             # A mean has the margin of the values: those of a few flights may lie close together.
             field, _, measure = what.rpartition(".")
             covered = extremes[source, f"{field}.numbers"] if measure == "mean" else found
-            rules.append(_rule(source, what, found, covered, apart[what], margin))
-        fields = config.of(captures[0])[0].fields()[0]
+            rules.append(_rule(source, what, (found, covered, apart[what]), margin, writers.get((source, what))))
         shares, constants = _reserved(extremes, fields), _constants(extremes, fields)
+        constants += [Rule(source, text, "always") for source, text in loads.constant_flags(fields, samples)]
         share = f"{(margin * 100).normalize():f}"
         head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=share)
         # The gate itself says which rules these flights keep, and what part of the values is reserved.
@@ -99,7 +121,7 @@ def _extremes(flights: dict[str, list[Record]]) -> dict[tuple[str, str], list[Ex
     for name, row in rows:
         message, seen = row["message"], dict[str, tuple[Any, Any]]()
         source = "" if "spread" in row or message in nameless else row["source"]
-        if row.get("unit") == "A" and message not in nameless:
+        if row.get("unit") in COMPARED and message not in nameless:
             for other, ratio in _ratios(row["sources"]).items():
                 found[other, f"{message}.{row['field']}.ratio"].append((ratio, ratio, name))
         if row.get("spread"):  # of values that never differed, their ranges say it
@@ -151,26 +173,54 @@ def _least_apart(extremes: dict[tuple[str, str], list[Extreme]]) -> dict[str, tu
 def _rule(
     source: str,
     what: str,
+    seen: tuple[list[Extreme], list[Extreme], tuple[Decimal, Decimal]],
+    margin: Decimal,
+    write: Callable[[str, str], str] | None = None,
+) -> Rule:
+    """Return the rule of what was seen, wide enough for each flight to keep it that had no part in it.
+
+    seen: the extremes, what the margin is a share of, and how far flights are apart at least, below and above;
+    write: limits to a text, None for the rule that `what` names.
+    """
+    found, covered, apart = seen
+    measure = what.rpartition(".")[2]
+    wanted = found if len(found) >= LEAST_TRIED else []
+    for room in ROOMS:
+        broken = []
+        for low, high, name in wanted:
+            rest, own = ([row for row in rows if row[2] != name] for rows in (found, covered))
+            if rest:
+                bottom, top, _ = _ends(measure, rest, own or covered, apart, margin, room)
+                broken += [name] if Decimal(bottom) > low or high > Decimal(top) else []
+        if not broken:
+            break
+    bottom, top, comment = _ends(measure, found, covered, apart, margin, room)
+    lost = f"flights differ too much: {len(broken)} of {len(wanted)} do not keep it" if broken else ""
+    if write:
+        return Rule(source, write(bottom, top), comment, lost)
+    if measure in UPPER:
+        return Rule(source, f"{what}={top}", comment.rpartition(", ")[2], lost)
+    # A field of the user's may have the name of a measure.
+    text = re.sub(r"\.(count|rate|gap)\.numbers$", r".\1.value", what).removesuffix(".numbers")
+    return Rule(source, f"{text}={bottom}..{top}", comment, lost)
+
+
+def _ends(
+    measure: str,
     found: list[Extreme],
     covered: list[Extreme],
     apart: tuple[Decimal, Decimal],
     margin: Decimal,
-) -> Rule:
-    """Return the rule of what was found.
-
-    covered: what the margin is a share of; apart: how far flights are apart at least, below and above.
-    """
-    measure = what.rpartition(".")[2]
-    from_zero = measure in ("rate", "gap", "spread")
+    room: Decimal,
+) -> tuple[str, str, str]:
+    """Return the limits below and above, and the extremes that they come from."""
+    from_zero = measure in ("rate", *UPPER)
     share = margin * (max(high for _, high, _ in covered) - (0 if from_zero else min(low for low, _, _ in covered)))
-    room = ROOM_OF_RATIO if measure == "ratio" else Decimal(1)
+    if measure == "ratio":
+        room *= ROOM_OF_RATIO
     top, highest = _limit([(high, name) for _, high, name in found], share, margin, 1, apart[1], room)
     bottom, lowest = _limit([(low, name) for low, _, name in found], share, margin, -1, apart[0], room)
-    if measure in ("gap", "spread"):
-        return Rule(source, f"{what}={top}", highest)
-    # A field of the user's may have the name of a measure.
-    text = re.sub(r"\.(count|rate|gap)\.numbers$", r".\1.value", what).removesuffix(".numbers")
-    return Rule(source, f"{text}={bottom}..{top}", f"{lowest}, {highest}")
+    return bottom, top, f"{lowest}, {highest}"
 
 
 def _apart(values: Sequence[Decimal], sign: int) -> Decimal:
