@@ -272,3 +272,12 @@ def test_the_rules_of_the_page(folder):
     verdicts = dict(re.findall(r"^(FAILED|NOT JUDGED|ok) +(\S+)", done.stdout, re.M))
     assert len(rules) == 10 and verdicts.keys() == {"FAILED", "ok"}, done.stdout
     assert "motor.rpm_error" in done.stdout.partition("\nok")[2]
+
+
+def test_a_condition_that_never_held(folder):
+    """No verdict, and the line names it: of one source, of all, and of one that did not hold for long enough."""
+    write(folder / "run.pcapng", random.Random(1))
+    rules = ["motor.dc_voltage=..9", "motor.dc_voltage.mean=..9", "motor.dc_voltage.spread=9", "motor.dc_voltage.special=1"]
+    for words in (" when=rpm_measured=60001..", " when=status.enabled after=999"):
+        for row in check(folder / "run.pcapng", [rule + words for rule in rules], 21).values():
+            assert row["rule"] == "unknown=0" or row["ok"] is None and row["note"].endswith(words), row

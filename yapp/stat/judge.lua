@@ -43,7 +43,7 @@ function M.new(rules, spreads)
       second = nil,
       -- Where sources are compared, see groups.update_spread.
       field = rule.field,
-      spread = rule.is_spread and spreads[rule],
+      spread = rule.kind.scope == "capture" and spreads[rule],
       latest = NO_NUMBER,
     }
     if series.spread then table.insert(series.spread.members, series) end

@@ -15,7 +15,6 @@
 --     tests    list of { field, low, high }, with mask of a flag, whose value is 0 or 1
 --     after    seconds for which they must have held }
 --   hold     seconds for which values must be outside
---   is_spread  true if it is about the spread of all sources
 --   is_default  true if it stands for `check` without rules }
 -- Its values are those of stat.judge.
 
@@ -99,8 +98,9 @@ end
 
 local function measure_spread(_, rule, check)
   local spread = check.spreads[rule]
-  if not spread.worst then return nil, nil, "no two sources of it have a value at one time" end
-  return spread.worst, spread.frame
+  if spread.worst then return spread.worst, spread.frame end
+  local condition = rule.condition and rule.condition.text or ""
+  return nil, nil, "no two sources of it have a value at one time" .. condition
 end
 
 -- name     of the measure
@@ -323,8 +323,8 @@ local function set_field(rule, name)
   if kind ~= M.OF_FIELD[1] then name = start end
   rule.kind, rule.field = kind, find_field(rule.message, name)
   rule.other = kind.name == "over" and find_field(rule.message, other) or nil
-  rule.is_spread = kind.scope == "capture"
-  demand(not (rule.source and rule.is_spread), "a %s is of all sources, not of one", kind.name)
+  local is_of_all = kind.scope == "capture"
+  demand(not (rule.source and is_of_all), "a %s is of all sources, not of one", kind.name)
 end
 
 -- Return the flags of a message type, a list of { name = "status.enabled", field, mask }.
