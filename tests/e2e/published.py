@@ -43,7 +43,7 @@ def names(found):
         lines |= of("key", statistic["columns"], "type", "unit", before=f"{name}.")
     for name, message in found["messages"].items():
         lines |= of("column", message["columns"], "type", "unit", before=f"{name}.")
-        lines |= of("formula", message["formulas"], "left", "operator", "right", before=f"{name}.")
+        lines |= of("formula", message["formulas"], "of", "operator", "less", before=f"{name}.")
     return lines
 
 

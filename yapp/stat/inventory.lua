@@ -13,9 +13,8 @@ local object, words = output.object, output.words
 -- low and high are the bounds of a compressed float.  kind, bits and values are for integers only:
 -- the type, and the meaning of its numbers.
 local COLUMN_KEYS = words("name unit type filter title low high kind bits values")
--- Of a value that is worked out from two fields: a difference is no column.
-local DIFFERENCE_KEYS = words("name of less unit title")
-local FORMULA_KEYS = words("name left operator right unit title")
+-- Of a value that is worked out from two fields; of the differences the operator is "-".
+local FORMULA_KEYS = words("name of operator less unit title")
 local KIND_KEYS = words("name text keys counts_as scope hides needs_time is_optional " ..
   "is_counted_only")
 local INVENTORY_KEYS = words("version plugin messages statistics kinds rules fields experts " ..
@@ -74,41 +73,33 @@ local function column_values(column)
 end
 
 local function formula_values(item)
-  local left, right = item.a.name, item.b.name
   return {
     name = item.name,
-    of = left,
-    less = right,
-    left = left,
+    of = item.a.name,
     operator = item.operator,
-    right = right,
+    less = item.b.name,
     unit = item.unit,
     title = item.title,
   }
 end
 
 local function describe_message(message_type, columns)
-  local differences = {}
-  for _, item in ipairs(message_type.generated) do
+  local formulas, differences = message_type.generated, {}
+  for _, item in ipairs(formulas) do
     if item.is_difference then differences[#differences + 1] = item end
   end
   return object(words("title every columns differences formulas"), {
     title = message_type.title,
     every = message_type.every,
     columns = list(columns, COLUMN_KEYS, column_values),
-    differences = list(differences, DIFFERENCE_KEYS, formula_values),
-    formulas = list(message_type.generated, FORMULA_KEYS, formula_values),
+    differences = list(differences, FORMULA_KEYS, formula_values),
+    formulas = list(formulas, FORMULA_KEYS, formula_values),
   })
 end
 
 local function describe_statistic(row)
-  return object(words("title options help ask columns"), {
-    title = row.title,
-    options = row.options,
-    help = row.help,
-    ask = row.ask,
-    columns = output.describe(row.columns),
-  })
+  local values = setmetatable({ columns = output.describe(row.columns) }, { __index = row })
+  return object(words("title options help ask columns"), values)
 end
 
 --- Describe all that is published.
