@@ -25,8 +25,11 @@ function list(vector, make = (one) => one) {
   return all;
 }
 
+// 3118.572, not 3118.5720000000001.
+const shortest = (filter) => filter.replace(/-?\d+\.\d{10,}$/, Number);
+
 const treeOf = (vector) => list(vector, (node) => ({
-  label: node.label, filter: node.filter, start: node.start, length: node.length,
+  label: node.label, filter: shortest(node.filter), start: node.start, length: node.length,
   source: node.data_source_idx, severity: node.severity || "",
   frame: node.type === "framenum" ? node.fnum : 0, children: treeOf(node.tree),
 }));

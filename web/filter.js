@@ -5,9 +5,7 @@ const STORE = "yapp.filters";
 const MAX_HISTORY = 30;
 const MAX_NAMES = 60;
 
-function history() {
-  try { return JSON.parse(localStorage.getItem(STORE)) ?? []; } catch { return []; } // storage may be forbidden
-}
+const history = () => { try { return JSON.parse(localStorage.getItem(STORE)) ?? []; } catch { return []; } }; // storage may be forbidden
 
 function remember(filter) {
   const list = [filter, ...history().filter((one) => one !== filter)].slice(0, MAX_HISTORY);
@@ -47,8 +45,7 @@ export class Filter {
 
   // Apply a filter, if it is one.
   async use(filter) {
-    filter = filter.trim();
-    this.field.value = filter;
+    this.field.value = filter = filter.trim();
     const problem = await this.check(filter);
     this.color(filter, problem);
     this.error.textContent = problem;

@@ -20,17 +20,13 @@ const $ = (id) => document.getElementById(id);
 const state = { file: null, opened: null, filter: "", frame: 0, preferences: {}, messages: null, messagesLink: "" };
 
 // What the page says ----------------------------------------------------------------------------------------------
-
 function notice(text) {
   if ([...$("notices").children].some((one) => one.firstChild.textContent === text)) return;
   const line = make("p", {}, text, make("button", { onclick: () => line.remove() }, "Dismiss"));
   $("notices").append(line);
 }
 
-function progress(done, total) {
-  if (total > 0) Object.assign($("progress"), { max: total, value: done });
-  else $("progress").removeAttribute("value");
-}
+const progress = (done, total) => total > 0 ? Object.assign($("progress"), { max: total, value: done }) : $("progress").removeAttribute("value");
 
 // Wait for something that may take long; a failure becomes a notice, and undefined.
 async function busy(what, promise) {
@@ -49,13 +45,10 @@ async function busy(what, promise) {
 }
 
 // How much of the capture was read, if that is not all.
-function partial() {
-  const { damage, count } = state.opened ?? {};
-  return damage ? `${state.file.name}: ${damage}. Wireshark read ${count} frames; what comes after them is not in this answer.` : "";
-}
+const partial = () => state.opened?.damage &&
+  `${state.file.name}: ${state.opened.damage}. Wireshark read ${state.opened.count} frames; what comes after them is not in this answer.`;
 
 // The link --------------------------------------------------------------------------------------------------------
-
 let written = "";
 
 function keepLink() {
@@ -92,7 +85,6 @@ async function followLink() {
 }
 
 // Wireshark and the capture ---------------------------------------------------------------------------------------
-
 const client = new Client(notice, progress);
 window.viewer = client; // for tests and the console
 
@@ -162,7 +154,6 @@ async function openLocal(blob) {
 }
 
 // Filter, list, frame ---------------------------------------------------------------------------------------------
-
 async function apply(text) {
   if (!state.opened) return;
   const found = await busy("Filtering", client.call("rows", text, 0, FIRST_ROWS));
@@ -218,7 +209,6 @@ const statistics = new Statistics($("answer"), { go, partial, prefer, changed: k
 const preferences = new Preferences($("settings"), prefer);
 
 // Buttons, keys, files --------------------------------------------------------------------------------------------
-
 const on = (id, kind, act) => $(id).addEventListener(kind, act);
 on("previous", "click", () => step(-1));
 on("next", "click", () => step(1));
@@ -262,9 +252,7 @@ async function begin() {
 async function keepOffline() {
   if (document.documentElement.dataset.form === "offline") return;
   const worker = await navigator.serviceWorker?.register("offline.js").catch(() => null); // then the page needs its server
-  function tell() {
-    if (worker?.active && worker.waiting) notice("There is a newer version of this page: close it in all tabs, and open it again.");
-  }
+  const tell = () => worker?.active && worker.waiting && notice("There is a newer version of this page: close it in all tabs, and open it again.");
   worker?.addEventListener("updatefound", () => worker.installing.addEventListener("statechange", tell));
   tell();
 }

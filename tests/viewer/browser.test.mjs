@@ -233,12 +233,36 @@ test("a button sets the preferences that a note proposes; kinds of events share 
   await page.click('#statistics button:has-text("Events")');
   await page.waitForSelector('#answer th:has-text("details")');
   assert.equal(await page.locator("#answer th").last().textContent(), "details");
-  await page.click('#answer button:has-text("Set yapp.command_ids to 0x0,0x301,0x41a, and yapp.motor_ids to 0x210-0x211,0x7ff")');
+  await page.click('#answer button:has-text("Decode them: set yapp.command_ids to 0x0,0x41a, and yapp.motor_ids to 0x210-0x211,0x7ff")');
   await page.waitForSelector('#answer h2:has-text("events: "):not(:has-text("..."))');
   await page.waitForFunction(() => /yapp.motor_ids=0x210-0x211%2C0x7ff/.test(location.hash));
   await page.waitForFunction(() => /events: [1-9]/.test(document.querySelector("#answer h2").textContent) && !/Try/.test(document.querySelector("#answer").textContent));
-  assert.deepEqual(proposals('none. Try -o yapp.a_ids:0x1 or -o yapp.b_ids:0x1 -o "yapp.sources:0x1=left fore"'),
-    [[["yapp.a_ids", "0x1"]], [["yapp.b_ids", "0x1"], ["yapp.sources", "0x1=left fore"]]]);
+  assert.deepEqual(proposals("none. Try -o yapp.a_ids:0x1 -o yapp.b_ids:0x1-0x2"), [["yapp.a_ids", "0x1"], ["yapp.b_ids", "0x1-0x2"]]);
+  await page.close();
+});
+
+test("unknown is not zero; the card of a fault; compare has controllers; numbers are short", async () => {
+  const page = await visit(`${http}#yapp.motor_ids=0x300`);
+  const answer = async (name, title) => {
+    await page.click(`#statistics button:text-is("${name}")`);
+    await page.waitForSelector(`#answer h2:has-text("${title}")`);
+    return page.locator("#answer").innerText();
+  };
+  await page.setInputFiles("#file", join(TOP, "docs/flight.pcapng"));
+  await status(page, "1,483 of 1,483");
+  assert.match(await answer("Faults", "faults: UNKNOWN, 2 of 6 sources not decoded, 0 in what was decoded"), /Decode them/);
+  assert.doesNotMatch(await page.textContent("#answer"), /Try -o/);
+  await page.click('#answer button:has-text("Decode them: set yapp.motor_ids to 0x210,0x300")');
+  await page.waitForSelector('#answer h2:has-text("faults: 1")');
+  const card = await answer("Fault", "fault: motor_overcurrent, faulted (1 of 1)");
+  assert.match(card, /671\s+motor\s+-0\.400\s+dc_current/);
+  await page.click('#answer button.link:text-is("671")');
+  await chosenRow(page, "671");
+  assert.match(await answer("Compare", "compare: 2 sources of"), /dc_current\s+A\s[^]*can1\s+0x210/);
+  await page.click('#answer button.link:text-is("704")');
+  await chosenRow(page, "704");
+  await page.click('#tree .item:has-text("RPM Measured")');
+  assert.match(await page.textContent("#selected"), /== 3625\.82$/);
   await page.close();
 });
 

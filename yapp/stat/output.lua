@@ -315,6 +315,7 @@ function M.print(context, title, columns, rows, notes, row_of)
   local out = context.out
   row_of = row_of or itself
   if context.json then
+    if context.frames then out(title .. "\n") end
     for _, one in ipairs(rows) do
       local row = row_of(one)
       out(M.object(row.keys or columns.json, row).json .. "\n")
