@@ -164,7 +164,7 @@ def test_random_error_frames(folder, form, seed):
 
 REPORTED = {  # what an error frame counts as
     **{name: name for name in REPORTS}, "sent too many": "overflow", "receiver warns": "warning", "receiver passive": "passive",
-    "counters": "bus", "no_ack and protocol": "no_ack", "passive, no_ack": "passive",
+    "counters": "bus", "transceiver": "bus", "active": "warning", "no_ack and protocol": "no_ack", "passive, no_ack": "passive",
 }
 BITRATE = 125_000
 

@@ -33,8 +33,8 @@ local ERROR_FRAMES = "can.flags.err == 1 && !can.id && !can.flags.xtd && !can.fl
 local REFUSED = "this Wireshark does not dissect %s, as CAN FD without its flag FDF: use 4.4"
 -- COMPAT 4.6: earlier versions dissect CAN FD without its flag.
 local REFUSES_FRAMES = not get_version():find("^4%.[0-5]%.")
-local OF_CAN = ("(frame.encap_type == %d || sll.ltype == 0x0c || sll.ltype == 0x0d)"):format(
-  wtap.SOCKETCAN)
+local OF_REFUSED = "!can && !canfd && !canxl && " ..
+  "(sll.ltype in {0x0c, 0x0d} || frame.encap_type == " .. wtap.SOCKETCAN .. ")"
 local UNDECODED = "%s in this file %s not decoded; try %s"
 local RELOADED = "Lua plugins were reloaded while the capture was open, so not all of it is " ..
   "known: reload the capture, too (Ctrl+R)"
@@ -144,21 +144,18 @@ end
 local function tap_bus_errors(self)
   self.bus_sources = memo(function(bus) return { bus = self.buses:name(bus or nil) } end)
   tap_can(self, ERROR_FRAMES, function(source, pinfo, tvb)
-    local values = buses_of.read_error(tvb:raw())
+    local values = { reports = buses_of.read_error(tvb:raw()) }
     self.current:add_bus_error(
       kinds.new_event("bus_errors", pinfo.number, pinfo.rel_ts, source, values))
   end)
 end
 
--- Count the frames that this Wireshark refuses, for each bus.
+-- Count the frames that this Wireshark refuses.
 local function tap_refused(self)
-  self.refused = {}
-  local by_source = memo(function(source)
-    return { bus = source.bus, count = 0, frame = nil, time = nil }
-  end, self.refused)
+  local drop = { count = 0 } -- as of Capture:drops
+  self.refused = drop
   if not REFUSES_FRAMES then return end
-  tap_can(self, OF_CAN .. " && !can && !canfd && !canxl", function(source, pinfo)
-    local drop = by_source[source]
+  add_tap(self, OF_REFUSED).packet = self.counted(function(pinfo)
     drop.count = drop.count + 1
     drop.frame, drop.time = drop.frame or pinfo.number, drop.time or pinfo.abs_ts
   end)
@@ -168,8 +165,9 @@ end
 -- filter  that these pass, or nil
 local function tap_frames(self, statistic, filter)
   local passes = filter and (" && (%s)"):format(filter) or ""
+  local stamps = self.buses.stamps
   tap_can(self, "can.id" .. passes, function(source, pinfo, tvb)
-    statistic:add_frame(source, pinfo.rel_ts, tvb:raw())
+    statistic:add_frame(source, stamps:even(pinfo.rel_ts), tvb:raw())
   end)
   tap_can(self, "can.id && yapp" .. passes, function(source) statistic:add_yapp(source) end)
 end
@@ -208,13 +206,6 @@ local function explain_unread(self)
   return self.buses:is_cut() and CUT or nil
 end
 
--- Return that frames were not dissected; nil if all were.
-local function explain_refused(self)
-  local count = 0
-  for _, drop in ipairs(self.refused) do count = count + drop.count end
-  return count > 0 and REFUSED:format(output.count(count, "packet")) or nil
-end
-
 -- Return that YAPP in this file was not decoded; nil if no trace of it was found.
 local function explain_undecoded(self)
   local options, count = self.find_options()
@@ -227,15 +218,16 @@ end
 local function finish(self)
   local failures, unread = self.calls.begun - self.calls.ended, explain_unread(self)
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
-  local reading, buses = self.reading, self.buses
+  local reading, buses, drop = self.reading, self.buses, self.refused
   local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
+  local refused = drop.count > 0 and REFUSED:format(output.count(drop.count, "packet")) or nil
   return self.current:finish {
     results = reading:finish(MAY_GO_ON),
-    drops = joined(buses:drops(), reading:drops(), self.refused),
+    drops = joined(buses:drops(), reading:drops(), { refused and drop }),
     lacks_times = not buses:has_times(),
     extended = self.frames.unclaimed,
-    problems = joined({ failed }, { unread }, { reloaded },
-      { explain_refused(self) }, { explain_undecoded(self) }),
+    problems = joined({ failed }, { unread }, { reloaded }, { refused },
+      { explain_undecoded(self) }),
     unread = unread and "not all packets were read",
   }
 end
