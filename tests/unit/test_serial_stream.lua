@@ -9,7 +9,6 @@ local levels = require("levels")
 local streams = require("yapp.serial.stream")
 
 local A, B = generator.frame(5, "message A"), generator.frame(6, "B")
-local BAD = generator.frame(7, "bad"):sub(1, -2) .. "\255"
 
 local function unknown() return nil end
 local function new_framer(line) return framer.new(unknown, { may_be_telnet = line and line.is_tcp }) end
@@ -81,41 +80,6 @@ local function holds(rows, other)
 end
 
 local T = {}
-
-function T.test_frames_and_text_in_a_packet()
-  holds {
-    { 1, A, "good 5 @0" },
-    { 2, "ok> " .. A .. B .. "\r\n", "skipped 4 @0, good 5 @4, good 6 @29, skipped 2 @46" },
-    { 3, B, "good 6 @0" },
-    { 4, BAD, "bad 7 @0" },
-    { 5, A .. B .. A, "good 5 @0, good 6 @25, good 5 @42" },
-    { 6, generator.frame(9, "x" .. A .. "y"), "good 9 @0" },
-  }
-end
-
-function T.test_a_frame_in_several_packets()
-  holds {
-    { 1, A:sub(1, 5), "5 wait", "5 wait, to 4" },
-    { 3, A:sub(6, 20), "15 wait", "15 wait, to 4" },
-    { 4, A:sub(21) .. B .. B:sub(1, 13), "good 5 in 1,3,4, good 6 @5, 13 wait",
-      "good 5 in 1,3,4, good 6 @5, 13 wait, to 9" },
-    { 9, B:sub(14), "good 6 in 4,9" },
-  }
-end
-
-function T.test_skipped_bytes_that_came_before()
-  holds { { 1, "textY", "skipped 4 @0, 1 wait" }, { 2, "more", "skipped 5 before" } }
-end
-
--- A good frame waits for an open candidate that it is inside of.
-function T.test_a_good_frame_that_had_to_wait()
-  local claim = generator.header(9, 60)
-  holds {
-    { 1, claim .. A, "37 wait", "37 wait, to 3" },
-    { 2, ("x"):rep(38), "38 wait" },
-    { 3, "x" .. B, "skipped 12 before, good 5 in 1, skipped 39 before, good 6 @1" },
-  }
-end
 
 function T.test_what_the_capture_cut()
   holds { { 1, A:sub(1, 20), "truncated 5 @0 -5", truncated = true }, { 2, A, "good 5 @0" } }
