@@ -89,8 +89,8 @@ local types = message_types.new(catalogue)
 local default_names = {} -- titles by ID
 for id, message in pairs(catalogue.by_id) do default_names[id] = message.title end
 local field_rows = show_fields.rows(default_names, catalogue.messages)
-local yapp_fields = show_fields.of_yapp(yapp, field_rows)
-local taurus_fields = show_fields.of_taurus(taurus, field_rows)
+local yapp_fields = show_fields.define(yapp, "yapp.", field_rows)
+local taurus_fields = show_fields.define(taurus, "taurus.", field_rows)
 
 -- The preferences that others need, see stat.taps; read_preferences fills it.
 local settings = {

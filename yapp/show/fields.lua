@@ -4,6 +4,8 @@
 --
 -- A field of YAPP's is a row of YAPP, an expert item a row of M.EXPERTS.
 
+local joined = require "yapp.base.joined"
+
 local M = {}
 
 local unpack = rawget(table, "unpack")
@@ -12,59 +14,59 @@ local CRC_STATUS = { [0] = "Bad", "Good", "Unverified" }
 
 -- filter, type, title, description, base, values
 local YAPP = {
-  { "id", "UINT32", "Message ID",
+  { "yapp.id", "UINT32", "Message ID",
     "Message ID: which message it is, and which controller sent it", "HEX" },
-  { "ctl", "UINT8", "Control (CTL)",
+  { "yapp.ctl", "UINT8", "Control (CTL)",
     "YAPP's control byte" },
-  { "seq", "UINT8", "Sequence number",
+  { "yapp.seq", "UINT8", "Sequence number",
     "Numbers the messages of a source, from 0 to 255" },
-  { "size", "UINT16", "Payload size",
+  { "yapp.size", "UINT16", "Payload size",
     "Payload of the message in bytes" },
-  { "reserved", "UINT16", "Reserved",
+  { "yapp.reserved", "UINT16", "Reserved",
     "Reserved bytes of the header, 0", "HEX" },
-  { "sync", "UINT16", "Sync",
+  { "yapp.sync", "UINT16", "Sync",
     "The bytes YP, with which a frame in a stream begins", "HEX" },
-  { "can.ctrl", "UINT8", "CAN frame",
+  { "yapp.can.ctrl", "UINT8", "CAN frame",
     "Which part of a message a CAN frame is", nil, FRAME_KINDS },
-  { "crc", "UINT32", "CRC",
+  { "yapp.crc", "UINT32", "CRC",
     "CRC-32K of header and payload, as it was sent", "HEX" },
-  { "crc.status", "UINT8", "CRC status",
+  { "yapp.crc.status", "UINT8", "CRC status",
     "Whether the CRC is that of the bytes", nil, CRC_STATUS },
-  { "crc.calculated", "UINT32", "Calculated CRC",
+  { "yapp.crc.calculated", "UINT32", "Calculated CRC",
     "What the CRC should be, where it is bad", "HEX" },
-  { "payload", "BYTES", "Payload",
+  { "yapp.payload", "BYTES", "Payload",
     "Payload that the catalogue does not explain" },
-  { "undecoded", "BYTES", "Not decoded",
+  { "yapp.undecoded", "BYTES", "Not decoded",
     "Payload behind the last field that the catalogue has" },
-  { "padding", "BYTES", "CAN FD padding",
+  { "yapp.padding", "BYTES", "CAN FD padding",
     "Bytes that fill a CAN FD frame" },
-  { "fragments", "NONE", "Fragments",
+  { "yapp.fragments", "NONE", "Fragments",
     "The frames that a message was put together from" },
-  { "fragment", "FRAMENUM", "Fragment",
+  { "yapp.fragment", "FRAMENUM", "Fragment",
     "A frame of the message" },
-  { "fragment.data", "BYTES", "Fragment data",
+  { "yapp.fragment.data", "BYTES", "Fragment data",
     "What a frame has of the message's payload" },
-  { "fragment.count", "UINT32", "Fragment count",
+  { "yapp.fragment.count", "UINT32", "Fragment count",
     "How many frames the message came in" },
-  { "reassembled.in", "FRAMENUM", "Reassembled in",
+  { "yapp.reassembled.in", "FRAMENUM", "Reassembled in",
     "The frame in which the message ends" },
-  { "reassembled.length", "UINT32", "Reassembled length",
+  { "yapp.reassembled.length", "UINT32", "Reassembled length",
     "Bytes that were put together" },
-  { "reassembled.data", "BYTES", "Reassembled data",
+  { "yapp.reassembled.data", "BYTES", "Reassembled data",
     "Payload that came in several frames" },
-  { "skipped", "BYTES", "Skipped bytes",
+  { "yapp.skipped", "BYTES", "Skipped bytes",
     "Bytes of a stream that belong to no frame" },
-  { "time_delta", "RELATIVE_TIME", "Time since the previous message with this ID",
+  { "yapp.time_delta", "RELATIVE_TIME", "Time since the previous message with this ID",
     "Since the previous message with this ID on this bus or stream" },
-  { "bus", "STRING", "Bus",
+  { "yapp.bus", "STRING", "Bus",
     "Name of the bus, where the capture has one" },
-  { "source", "STRING", "Source",
+  { "yapp.source", "STRING", "Source",
     "The name from yapp.sources; without one the ID, behind the bus if there are several" },
-  { "message.fault", "BOOLEAN", "Message has a fault flag set",
+  { "yapp.message.fault", "BOOLEAN", "Message has a fault flag set",
     "Set in every frame of a message that has a fault" },
-  { "copy_of", "FRAMENUM", "Copy of the message in",
+  { "yapp.copy_of", "FRAMENUM", "Copy of the message in",
     "The frame of the same message that was recorded before" },
-  { "seq.missing", "UINT8", "Messages missing before this one",
+  { "yapp.seq.missing", "UINT8", "Messages missing before this one",
     "How many messages are missing before this one, by sequence number" },
 }
 
@@ -131,62 +133,39 @@ end
 
 local experts = {} -- [filter] = ProtoExpert, made once, when the plugin loads
 
--- Give a protocol its fields, and the expert items whose filters begin with this prefix.
-local function define(proto, prefix, fields)
-  local own = {}
+--- Return the rows of all fields: { filter, type, title, description, ... }, those of YAPP first.
+-- names    { [id] = title } of the messages that are known
+-- messages of the catalogue
+function M.rows(names, messages)
+  YAPP[1][6] = names -- of yapp.id
+  local rows = joined(YAPP)
+  for _, message in ipairs(messages) do
+    rows[#rows + 1] = { "yapp.like." .. message.name, "UINT32", "Could be " .. message.title,
+      "ID that is not in the catalogue, of a message with the size of " .. message.title, "HEX" }
+  end
+  for _, message in ipairs(messages) do rows = joined(rows, message.filters) end
+  return rows
+end
+
+--- Make the fields and expert items whose filters begin with a prefix, and hand them to a protocol.
+-- rows     of M.rows
+-- returns  { [filter without "yapp."] = ProtoField }
+function M.define(proto, prefix, rows)
+  local fields, own = {}, {}
+  for _, row in ipairs(rows) do
+    local filter = row[1]
+    if filter:find(prefix, 1, true) == 1 then
+      fields[filter:match("^yapp%.(.*)") or filter] = new_field(unpack(row, 1, 7))
+    end
+  end
   for _, row in ipairs(M.EXPERTS) do
-    local name, text, group, severity = row[1], row[2], row[3], row[4]
+    local name, text, group, severity = unpack(row, 1, 4)
     if name:find(prefix, 1, true) == 1 then
       own[name] = ProtoExpert.new(name, text, expert.group[group], expert.severity[severity])
       experts[name] = own[name]
     end
   end
   proto.fields, proto.experts = fields, own
-end
-
---- Return the rows of all fields: { filter, type, title, description, ... }, those of YAPP first.
--- names    { [id] = title } of the messages that are known
--- messages of the catalogue
-function M.rows(names, messages)
-  local rows = {}
-  for i, row in ipairs(YAPP) do
-    rows[i] = { "yapp." .. row[1], unpack(row, 2, 6) }
-    if row[1] == "id" then rows[i][6] = names end
-  end
-  for _, message in ipairs(messages) do
-    rows[#rows + 1] = { "yapp.like." .. message.name, "UINT32", "Could be " .. message.title,
-      "ID that is not in the catalogue, of a message with the size of " .. message.title, "HEX" }
-  end
-  for _, message in ipairs(messages) do
-    for _, row in ipairs(message.filters) do rows[#rows + 1] = row end
-  end
-  return rows
-end
-
---- Make YAPP's own fields and expert items and hand them to the protocol.
--- yapp     Proto
--- rows     of M.rows
--- returns  { [filter without "yapp."] = ProtoField }
-function M.of_yapp(yapp, rows)
-  local fields = {}
-  for _, row in ipairs(rows) do
-    local name = row[1]:match("^yapp%.(.*)")
-    if name then fields[name] = new_field(unpack(row, 1, 6)) end
-  end
-  define(yapp, "yapp.", fields)
-  return fields
-end
-
---- Make the fields and expert items of the messages and hand them to the protocol.
--- taurus   Proto
--- rows     of M.rows
--- returns  { [filter] = ProtoField }
-function M.of_taurus(taurus, rows)
-  local fields = {}
-  for _, row in ipairs(rows) do
-    if row[1]:find("^taurus%.") then fields[row[1]] = new_field(unpack(row, 1, 7)) end
-  end
-  define(taurus, "taurus.", fields)
   return fields
 end
 
