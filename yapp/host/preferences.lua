@@ -47,8 +47,14 @@ function M.has_said(text)
   return is_said[text] or false
 end
 
--- Name, constructor, title, default, description, and the constructor's last argument.
-local function rows_of(catalogue, field_kinds, max_id)
+--- Give a protocol its preferences.
+-- proto      Proto
+-- catalogue  compiled
+-- field_kinds  the module
+-- max_id     the highest message ID
+-- returns    a list of rows: { name, constructor, title, default, description, and the
+--            constructor's last argument }
+function M.define(proto, catalogue, field_kinds, max_id)
   local of_messages, periods = {}, {}
   for i, message in ipairs(catalogue.messages) do
     local title, id, period = message.title, ("0x%x"):format(message.id), message.every
@@ -59,7 +65,7 @@ local function rows_of(catalogue, field_kinds, max_id)
     of_messages[i] = { message.name .. "_ids", "range", label, id, about, max_id }
     if period then periods[#periods + 1] = ("%s %g s"):format(title, period) end
   end
-  return joined(of_messages, {
+  local rows = joined(of_messages, {
     { "sources", "string", "Names of sources", "",
       "What to call an ID, everywhere or on one bus, and which message it carries: " ..
       "0x210=motor:left_fore, can1/0x210=motor:right_fore, 0x212=left_tail. Several IDs have " ..
@@ -102,16 +108,6 @@ local function rows_of(catalogue, field_kinds, max_id)
       "that table. Usually empty.",
       LAST_DLT },
   })
-end
-
---- Give a protocol its preferences.
--- proto      Proto
--- catalogue  compiled
--- field_kinds  the module
--- max_id     the highest message ID
--- returns    a list of rows: { name, constructor, title, default, description }
-function M.define(proto, catalogue, field_kinds, max_id)
-  local rows = rows_of(catalogue, field_kinds, max_id)
   for _, row in ipairs(rows) do proto.prefs[row[1]] = Pref[row[2]](unpack(row, 3, 6)) end
   return rows
 end
