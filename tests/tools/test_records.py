@@ -2,12 +2,11 @@
 """Incidents of a flight: what belongs together is one, whatever flags it raised."""
 
 from decimal import Decimal
-from types import SimpleNamespace
 
 import pytest
 from fake_tshark import FIELDS
-from yapp_tables.incidents import fault_rows, joined, other_rows
-from yapp_tables.records import columns_of, controllers, faults, incidents, table
+from yapp_tables.incidents import faults_in
+from yapp_tables.records import columns_of, faults, table
 
 
 def event(at, kind="fault", flag="stall", **more):
@@ -44,16 +43,7 @@ def cleared(at, **more):
     ],
 )
 def test_incidents(rows, count):
-    """The page of a flight has as many."""
-    events = table(rows, columns_of(FIELDS, "events"))
-    assert incidents(events) == count
-    shown = events.drop_columns("time").append_column("at", events["time"].cast("int64")).to_pylist()
-    for row, controller in zip(shown, controllers(shown), strict=True):
-        row |= {"at": row["at"] / 1e9 - 1_700_000_000, "title": "", "controller": controller}
-        row["who"] = row["source"] or str(row["id"])
-    flight = SimpleNamespace(messages={})
-    found = joined(fault_rows(flight, shown, 200.0) + other_rows(flight, shown))
-    assert sum(incident["is_fault"] for incident in found) == count
+    assert faults_in(table(rows, columns_of(FIELDS, "events"))) == count
 
 
 def test_the_columns_are_those_that_the_plugin_describes():

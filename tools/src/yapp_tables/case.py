@@ -20,8 +20,8 @@ from .errors import CaptureError, SetupError, need
 from .flight import Flight
 from .incidents import is_command
 from .install import ask
-from .records import controllers
 from .scratch import scratch, write_whole
+from .sources import controllers
 from .tshark import Record, Tshark
 
 AROUND = 2  # seconds before a fault and behind its end
@@ -75,7 +75,7 @@ def _frames(capture: Path, tshark: Tshark, card: Record, flight: Flight, begin: 
     whose = dict(zip(((row["bus"], row["id"]) for row in rows), controllers(rows), strict=True))
     own = whose.get((card["bus"], card["id"]))
     ids = [row["id"] for row in rows if row["id"] is not None and row["bus"] == card["bus"]
-           and (whose[row["bus"], row["id"]] == own or is_command(flight, row["message"]))]  # fmt: skip
+           and (whose[row["bus"], row["id"]] == own or is_command(flight.messages, row["message"]))]  # fmt: skip
     wanted = f"yapp.id in {{{', '.join(map(hex, ids))}}}"
     wanted += f' && yapp.bus == "{card["bus"]}"' if card["bus"] else ""
     # A message that came in segments needs all packets.

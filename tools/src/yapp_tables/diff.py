@@ -26,11 +26,10 @@ from .errors import SetupError, count_of
 from .flight import Flight
 from .follow import SHAPES, Following
 from .intervals import BLOCK, Change, change, more_often, shift
-from .records import controllers
 from .runs import APART, DEGREES, Load, Samples, joined, load_bins, samples, terms
 from .scratch import scratch
 from .series import Array
-from .sources import source_name
+from .sources import controllers, source_name
 
 Record = dict[str, Any]
 LEAST_SECONDS, LEAST_COMMON = 20.0, 0.3  # of a run; share of its samples at loads of both

@@ -12,24 +12,8 @@ from .runs import APART, Samples
 from .series import Array
 
 STEP = 0.01  # seconds
-SHAPES = (
-    0.0,
-    0.02,
-    0.04,
-    0.06,
-    0.08,
-    0.1,
-    0.12,
-    0.14,
-    0.17,
-    0.2,
-    0.25,
-    0.3,
-    0.4,
-    0.5,
-    0.7,
-    1.0,
-)  # seconds of the response's time constant
+# Seconds of the response's time constant.
+SHAPES = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.17, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
 
 
 @dataclass

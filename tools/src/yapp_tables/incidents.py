@@ -3,16 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
-from .flight import Flight
-from .records import INCIDENT, TOGETHER
-from .tables import Column
+from .sources import controllers, source_name
+from .tables import Column, Message
 
 Record = dict[str, Any]
+Messages = Mapping[str, Message]
+# Events of one controller that are no further apart than this, in seconds, are one incident.
+TOGETHER = 2.0
+INCIDENT = ("fault", "reboot", "silence", "stale")
 # What an event other than a fault means; those of the first kind are told one by one, the others counted for a source,
 # under their own name where none stands here.
 SINGLE = {
@@ -40,19 +44,47 @@ SERIOUS = ("fault", "reboot", "silence", "disabled", "bus", "absent", "shared") 
 CALM = 3.0  # seconds that a controller takes to be as before, after a reboot or a Command that was disabled
 
 
-def flag_of(flight: Flight, event: Record) -> Column | None:
+def flag_of(messages: Messages, event: Record) -> Column | None:
     """The column of the flag that an event is about."""
-    known = flight.messages.get(event["message"])
+    known = messages.get(event["message"])
     if known is None or event["kind"] != "fault":
         return None
     flags = (column for column in known.columns.values() if column.role == "flag")
     return next((column for column in flags if column.name.endswith(f"_{event['flag']}")), None)
 
 
-def is_command(flight: Flight, message: str | None) -> bool:
+def is_command(messages: Messages, message: str | None) -> bool:
     """Return whether a message has no clock of a controller: it is sent to one, or to all on a bus."""
-    known = flight.messages.get(message or "")
+    known = messages.get(message or "")
     return known is not None and not any(column.role == "clock" for column in known.columns.values())
+
+
+def events_of(
+    events: pa.Table, messages: Messages, start: int, title: Callable[[str | None], str] = str, prefix: str = ""
+) -> list[Record]:
+    """Return events with the keys that rows are made of: at, in seconds since start, who, controller and others.
+
+    start: nanoseconds since 1970; title: of a message; prefix: of names.
+    """
+    own = events.drop_columns(["time"]).append_column("at", events["time"].cast(pa.int64()))
+    found: list[Record] = own.to_pylist()
+    for event, controller in zip(found, controllers(found), strict=True):
+        known = messages.get(event["message"])
+        event["controller"] = controller
+        event["at"] = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
+        event["title"] = title(event["message"]) if event["id"] is not None else ""
+        event["who"] = prefix + source_name(event)
+        event["is_command"] = is_command(messages, event["message"])
+        event["every"] = known.every or 1.0 if known else 1.0
+    return found
+
+
+def faults_in(events: pa.Table) -> int:
+    """Return how many incidents of the events have a fault."""
+    found = events_of(events, {}, 0)
+    end = max((event["at"] for event in found), default=0.0)
+    rows = fault_rows({}, found, end) + other_rows({}, found)
+    return sum(incident["is_fault"] for incident in joined(rows))
 
 
 def excused(events: list[Record], names: Mapping[tuple[str | None, int], str]) -> dict[str, list[tuple[float, float]]]:
@@ -89,7 +121,7 @@ def _row(event: Record, what: str, **more: object) -> Record:
     return about | {"count": 1, "bytes": None, "at": [event["at"]]} | more
 
 
-def fault_rows(flight: Flight, events: list[Record], end: float) -> list[Record]:
+def fault_rows(messages: Messages, events: list[Record], end: float) -> list[Record]:
     """Each fault from raised to cleared, or to the end of the capture where `end` is None."""
     rows: list[Record] = []
     open_rows: dict[tuple[str, str, str], Record] = {}
@@ -98,7 +130,7 @@ def fault_rows(flight: Flight, events: list[Record], end: float) -> list[Record]
             continue
         key = event["who"], event["message"], event["flag"]
         if event["event"] == "raised" or (event["event"] == "cleared" and key not in open_rows):
-            flag = flag_of(flight, event)
+            flag = flag_of(messages, event)
             # One that is cleared alone was raised before what a filter let through.
             begin = event["at"] - (event["active"] or 0.0)
             row = _row(event, flag.title if flag else event["flag"], begin=begin, end=None, length=end - begin)
@@ -111,7 +143,7 @@ def fault_rows(flight: Flight, events: list[Record], end: float) -> list[Record]
     return rows
 
 
-def other_rows(flight: Flight, events: list[Record]) -> list[Record]:
+def other_rows(messages: Messages, events: list[Record]) -> list[Record]:
     """Reboots, silences and the like one by one; what may come often as one row for each source and message."""
     rows: dict[tuple[str, ...], Record] = {}
     for number, event in enumerate(events):
@@ -124,7 +156,7 @@ def other_rows(flight: Flight, events: list[Record]) -> list[Record]:
         if kind == "bus":
             what = f"bus {str(event['what']).replace('_', ' ')}"
         if kind == "invalid":
-            what = f"{what}: {_value(flight, event)}"
+            what = f"{what}: {_value(messages, event)}"
         key = (kind, event["who"], event["title"], what) if kind not in SINGLE else (str(number),)
         row = rows.setdefault(key, _row(event, what, count=0, at=[]))
         row["count"] += event["count"] or 1
@@ -139,9 +171,9 @@ def other_rows(flight: Flight, events: list[Record]) -> list[Record]:
     return list(rows.values())
 
 
-def _value(flight: Flight, event: Record) -> str:
+def _value(messages: Messages, event: Record) -> str:
     """What a field had that the catalogue does not define: "Key 0x11"."""
-    message = flight.messages.get(event["message"])
+    message = messages.get(event["message"])
     column = message.columns.get(event["field"]) if message else None
     value = event["value"] or ""
     return f"{column.title if column else event['field']} {int(value):#x}" if value.isdigit() else value
@@ -187,5 +219,4 @@ def joined(rows: list[Record]) -> list[Record]:
         incident["is_serious"] = any(row["kind"] in SERIOUS for row in rows)
         fault = next((row for row in rows if row["kind"] == "fault"), rows[0])
         incident["source"], incident["stopped"] = fault["source"], rows[0].get("stopped")
-        incident["first"], incident["last"] = min(row["first"] for row in rows), max(row["last"] for row in rows)
     return found

@@ -15,14 +15,12 @@ import pyarrow as pa
 
 from .bench import aligned
 from .errors import count_of
+from .incidents import faults_in
 from .runs import samples
 from .steps import POINTS, STEPS, point_columns, points, steps
 from .tables import KIND, TIME, Column, Message, Origin, Rows, Table, present, repeated
 from .tshark import Export, Record
 
-# Events of one controller that are no further apart than this, in seconds, are one incident.
-TOGETHER = 2.0
-INCIDENT = ("fault", "reboot", "silence", "stale")
 # A step of the capture's clock, in seconds, that counts as "it was set".
 SET = 1.0
 # Nobody recorded before 2000: an earlier time counts from the recorder's own start. Nanoseconds since 1970.
@@ -168,53 +166,6 @@ def statistics(summary: Sequence[Record], columns: Mapping[str, Column]) -> pa.T
     return table(rows, columns)
 
 
-def controllers(events: Sequence[Record]) -> list[object]:
-    """Return the controller of each event, None where it has no ID.
-
-    It is a name; without one that of the same bus and last digit of the ID, if it has one; else these two.
-    """
-    places = [None if event["id"] is None else (event["bus"], event["id"] & 0xF) for event in events]
-    names = {place: event["controller"] for place, event in zip(places, events, strict=True) if event["controller"]}
-    return [event["controller"] or names.get(place, place) for place, event in zip(places, events, strict=True)]
-
-
-def incidents(events: pa.Table) -> int:
-    """Return how many incidents of the events have a fault."""
-    spans: dict[object, list[tuple[float, float, bool]]] = {}
-    open_: dict[object, tuple[object, float]] = {}
-    at = events["time"].cast(pa.int64()).to_pylist()
-    last = max((time for time in at if time is not None), default=0) / 1e9
-    rows: list[Record] = events.drop_columns(["time"]).to_pylist()
-    for time, event, who in zip(at, rows, controllers(rows), strict=True):
-        if event["kind"] not in INCIDENT or time is None:
-            continue
-        begin = time / 1e9
-        key = (event["bus"], event["id"], event["source"], event["message"], event["field"], event["flag"])
-        if event["kind"] != "fault":
-            spans.setdefault(who, []).append((begin, begin + (event["length"] or 0.0), False))
-        elif event["event"] == "raised":
-            open_[key] = who, begin
-        elif key in open_:
-            who, begin = open_.pop(key)
-            spans.setdefault(who, []).append((begin, time / 1e9, True))
-        elif event["event"] == "cleared":  # raised before what was let through
-            spans.setdefault(who, []).append((time / 1e9, time / 1e9, True))
-    for who, begin in open_.values():
-        spans.setdefault(who, []).append((begin, last, True))
-    return sum(_with_fault(sorted(own)) for own in spans.values())
-
-
-def _with_fault(spans: Sequence[tuple[float, float, bool]]) -> int:
-    found: list[bool] = []
-    until = -1e300
-    for begin, end, is_fault in spans:
-        if begin > until + TOGETHER:
-            found.append(False)
-            until = end
-        found[-1], until = found[-1] or is_fault, max(until, end)
-    return sum(found)
-
-
 def name_hint(summary: pa.Table) -> str:
     """Return how to name the controllers of a flight in which none has a name; empty where one has, or one is alone."""
     rows = [row for row in summary.to_pylist() if row["id"] is not None and row["message"]]
@@ -301,7 +252,7 @@ def _flight(export: Export, origin: Origin, rows: Sequence[Rows], events: pa.Tab
     about |= {"is_absolute": is_absolute, "clock_resets": len(steps)}
     about |= {"aircraft": origin.aircraft, "plugin": export.fields["plugin"], "tools": version("yapp-tables")}
     about |= {"options": " ".join(origin.tshark.options), "messages": sum(each.count for each in rows)}
-    about |= {"faults": incidents(events), "partial": export.partial}
+    about |= {"faults": faults_in(events), "partial": export.partial}
     about |= {"undecoded": export.undecoded or None, "left_out": "; ".join(said) or None}
     schema = pa.schema([(each.name, each.type) for each in columns_of({}, "flights").values()])
     return pa.Table.from_pylist([about], schema)

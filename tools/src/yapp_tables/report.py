@@ -25,14 +25,12 @@ from .dataset import plain_name
 from .errors import SetupError
 from .flight import Flight
 from .html_table import html_table
-from .incidents import excused, fault_rows, filter_of, flag_of, is_command, joined, other_rows
+from .incidents import events_of, excused, fault_rows, faults_in, filter_of, flag_of, joined, other_rows
 from .limits import Limits
 from .matrix import Matrix
 from .multiples import Multiples
 from .palette import css
 from .pictures import MARKS, Pictures, Record, first_of, overlaid, packed
-from .records import controllers
-from .records import incidents as count_incidents
 from .scratch import write_whole
 from .sources import source_name
 from .verdict import causes, head, headline, merged, named
@@ -78,7 +76,7 @@ def _read(capture: Path, config: Config) -> Flight:
     tshark, aircraft = config.of(capture)
     flight = read_flight(capture, tshark, has_begin=True)
     flight.aircraft = aircraft
-    if count := count_incidents(flight.events):
+    if count := faults_in(flight.events):
         flight.cards, _ = cards.read(capture, tshark, range(1, min(count, cards.MOST) + 1))
     return flight
 
@@ -132,6 +130,8 @@ class Report:
             row["label"] = row["source"] if row["number"] is None else pictures.sources[row["number"]]["label"]
         for row in incidents:
             self._lead(row)
+            row["first"] = min(one["first"] for one in row["rows"])
+            row["last"] = max(one["last"] for one in row["rows"])
             for each in (row, *row["rows"]):
                 each["frames"] = f"{each['first']:,} to {each['last']:,}"
                 each["filter"] = filter_of(each.get("rows", [each]), each["first"], each["last"])
@@ -199,25 +199,15 @@ class Report:
         """Draw a flight; returns what went wrong."""
         self.pictures.start = start
         self.end = max(self.end, max(pc.max(flight[name]["time"]).value - start for name in flight) / 1e9)
-        own = flight.events.drop_columns(["time"]).append_column("at", flight.events["time"].cast(pa.int64()))
-        events: list[Record] = own.to_pylist()
-        for event, controller in zip(events, controllers(events), strict=True):
-            event["controller"] = controller
-            event["at"] = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
-        for event in events:
-            known = flight.messages.get(event["message"])
-            event["title"] = flight.title(event["message"]) if event["id"] is not None else ""
-            event["who"] = prefix + source_name(event)
-            event["is_command"] = is_command(flight, event["message"])
-            event["every"] = known.every or 1.0 if known else 1.0
+        events = events_of(flight.events, flight.messages, start, flight.title, prefix)
         sent = (row for row in flight.summary.to_pylist() if row["id"] is not None)
         windows = excused(events, {(row["bus"], row["id"]): source_name(row) for row in sent})
         # First the message that says most.
         for message in sorted(flight.messages.values(), key=lambda message: -len(message.columns)):
-            flags = (flag_of(flight, event) for event in events if event["message"] == message.name)
+            flags = (flag_of(flight.messages, event) for event in events if event["message"] == message.name)
             alarms = {flag.name for flag in flags if flag}
             self.pictures.add(message, flight[message.name], alarms, windows, prefix)
-        rows = fault_rows(flight, events, self.end) + other_rows(flight, events)
+        rows = fault_rows(flight.messages, events, self.end) + other_rows(flight.messages, events)
         self._frames(flight, rows, start)
         self._stopped(rows, prefix)
         self._marks([row for row in rows if row["kind"] != "fault"])

@@ -12,7 +12,6 @@ import pyarrow as pa
 from .series import Array, numbers
 from .sources import natural, split
 
-DEGREES = ("°C", "C", "degC")
 MEMORY = (10.0, 40.0, 160.0)  # seconds for which a temperature remembers the load
 RUNNING = 0.1  # of the usual highest speed: below, a motor stands
 APART = 1e6  # seconds between the times of two flights

@@ -30,6 +30,16 @@ def source_name(row: dict[str, Any]) -> str:
     return row.get("source") or " ".join(part for part in (row.get("bus"), number) if part) or "capture"
 
 
+def controllers(events: Sequence[dict[str, Any]]) -> list[object]:
+    """Return the controller of each event, None where it has no ID.
+
+    It is a name; without one that of the same bus and last digit of the ID, if it has one; else these two.
+    """
+    places = [None if event["id"] is None else (event["bus"], event["id"] & 0xF) for event in events]
+    names = {place: event["controller"] for place, event in zip(places, events, strict=True) if event["controller"]}
+    return [event["controller"] or names.get(place, place) for place, event in zip(places, events, strict=True)]
+
+
 def natural(name: str) -> list[str | int]:
     """Return what sorts names as people do: M2 before M10."""
     return [int(word) if word.isdecimal() else word for word in re.split(r"(\d+)", name)]
