@@ -235,16 +235,6 @@ local FAULTY = {
   record(3, 3, { change = raised(0x24, 0x4, 0x3) }), record(4, 4.5),
 }
 
-function T.test_faults_with_bits_of_one_flag_and_bits_of_none()
-  local found = {}
-  for i, line in ipairs(lines((run({ "faults,json" }, FAULTY)))) do
-    found[i] = line:match('"frame":(%d+)') .. " " .. line:match('"flag":"([^"]*)"') .. " " ..
-      line:match('"event":"([^"]*)"') .. " " .. line:match('"active":([^,]*)')
-  end
-  lu.assertEquals(found, { "1 hot raised null", "2 stall raised null", "2 undefined_0x20 raised null",
-    "3 hot cleared 2.000000000", "4 stall active 2.500000000", "4 undefined_0x20 active 2.500000000" })
-end
-
 -- What is raised and cleared between the messages that count is known, though it is not told.
 function T.test_faults_of_the_messages_that_count()
   local records = { record(1, 1), record(2, 2, { change = raised(1, 1) }), record(3, 3),
@@ -302,26 +292,6 @@ function T.test_the_title_counts_incidents()
   lu.assertEquals(title(several, { matches = { [4] = true } }), "YAPP faults: 1") -- the end of it alone counts
   lu.assertStrContains(run({ "faults,json" }, several), '"event":"cleared"')
   lu.assertEquals(#lines((run({ "faults,json" }, several))), 4)
-end
-
-local function kinds(printed)
-  local found = {}
-  for i, line in ipairs(lines(printed)) do
-    found[i] = line:match('"kind":"(%w+)"') .. " " .. line:match('"time":([%d.]+)'):sub(9) .. " " ..
-      line:match('"frame":(%d+)') .. " " .. (line:match('"length":([%d.]+)') or line:match('"what":"(%w+)"') or "")
-  end
-  return found
-end
-
-function T.test_events_are_in_the_order_of_time()
-  local printed = run({ "events,json" }, { record(1, 0), record(2, 1, { source = RIGHT }),
-    record(3, 2, { change = { late = 2, reboot = 1 } }), bad(4, 2.1),
-    lost(5, 2.2, "orphan"), record(6, 2.25, { change = { stale = true } }),
-    lost(7, 2.3, "incomplete", RIGHT) },
-    { last = 2.4, unfinished = { record(7, 2.35, { kind = "unfinished" }) } })
-  lu.assertEquals(kinds(printed), { "silence 00.000000005 1 2.000000000", "silence 01.000000005 2 1.400000000",
-    "reboot 02.000000005 3 ", "crc 02.100000005 4 ", "incomplete 02.200000005 5 orphan", "stale 02.250000005 6 ",
-    "incomplete 02.300000005 7 incomplete", "unfinished 02.350000005 7 " })
 end
 
 function T.test_events_in_words()
@@ -439,18 +409,6 @@ local function verdicts(rules, records, with)
   return found, code, texts
 end
 
-function T.test_check_counts_by_source()
-  local records = { record(1, 0, { change = raised(1, 1) }), record(2, 1, { source = RIGHT }),
-    bad(3, 2), record(4, 3, { change = { reboot = 1, stale = true } }),
-    lost(5, 4, "orphan"),
-    record(6, 5, { change = raised(0, 0, 1) }) }
-  local found, code = verdicts("fault=0,crc=0,incomplete=1,reboot=0,stale=1", records)
-  lu.assertEquals(found, { "fault=0 left false 1 1", "fault=0 null true 0 null", "crc=0 left false 1 3",
-    "crc=0 null true 0 null", "incomplete=1 left true 1 5", "incomplete=1 null true 0 null", "reboot=0 left false 1 4",
-    "reboot=0 null true 0 null", "stale=1 left true 1 4", "stale=1 null true 0 null", "unknown=0 null true 0 null" })
-  lu.assertEquals(code, 20)
-end
-
 -- Times are doubles: 0.3 - 0.2 is less than 0.1, and 1.1 - 1 is more.
 function T.test_check_limits_that_are_just_kept()
   local records = {}
@@ -458,20 +416,6 @@ function T.test_check_limits_that_are_just_kept()
   for _, rule in ipairs { "motor.rate=10", "motor.gap=0.1" } do
     lu.assertEquals(select(2, verdicts(rule .. ",unknown=99", records)), 0, rule)
   end
-end
-
-function T.test_check_rates_and_gaps()
-  local records = { record(1, 0), record(2, 0.5), record(3, 0.75), record(4, 1) }
-  lu.assertEquals({ verdicts("motor.count=4,motor.rate=3,motor.gap=0.5", records) }, { {
-    "motor.count=4 left true 4 4", "motor.rate=3 left true 3 4", "motor.gap=0.5 left true 0.5 2",
-    "unknown=0 null true 0 null" }, 0, {} })
-  local found, code = verdicts("motor.count=5,motor.rate=3.01,motor.gap=0.9", records, { last = 2 })
-  lu.assertEquals(found, { "motor.count=5 left false 4 4", "motor.rate=3.01 left false 3 4",
-    "motor.gap=0.9 left false 1 4", "unknown=0 null true 0 null" })
-  lu.assertEquals(code, 20)
-  lu.assertEquals(verdicts("motor.rate=1,motor.gap=2", { record(1, 0) }, { last = 2 }), { "motor.rate=1 left false 0 1",
-    "motor.gap=2 left true 2 1", "unknown=0 null true 0 null" })
-  lu.assertEquals(verdicts("motor.gap=2", { bad(1, 0) })[1], "motor.gap=2 left null null null")
 end
 
 function T.test_check_ranges()
@@ -545,16 +489,6 @@ function T.test_what_was_not_decoded_was_not_checked()
   lu.assertEquals(verdicts("crc=0", { record(3, 2, { fits = false }) })[2], "unknown=0 left false 1 3")
 end
 
-function T.test_faults_of_thousands_of_sources()
-  local records, count = {}, 6000
-  for i = 1, count do
-    local source = { key = 2047 + i, bus_key = 1, bus = "can0", id = i % 0x800, type = MOTOR }
-    records[i] = record(i, i, { source = source, change = raised(1, 1, 0) })
-  end
-  local _, faults = run({ "faults,json" }, records):gsub('"event":"active"', "")
-  lu.assertEquals(faults, count)
-end
-
 -- A packet of a stream has messages of several sources: what is active at its end is in their order.
 function T.test_faults_that_are_active_in_one_packet()
   local records, expected = {}, {}
@@ -600,17 +534,6 @@ function T.test_what_cannot_be_judged()
   lu.assertEquals(code_of("fault=0", { record(1, 0, { change = raised(1, 1) }), unsure }), 20)
   lu.assertEquals(code_of("motor.count=9,nonsense=1", good), 20) -- both
   lu.assertEquals(code_of("crc=0", good), 0)
-end
-
-function T.test_rules_about_one_source()
-  local records = { record(1, 0), bad(2, 1, { source = RIGHT }) }
-  local found, code = verdicts("source=left,crc=0,motor.count=1", records)
-  lu.assertEquals(found, { "crc=0 left true 0 null", "motor.count=1 left true 1 1", "unknown=0 null true 0 null" })
-  lu.assertEquals(code, 0)
-  found, code = verdicts("crc=0,source=left,unknown=0", records)
-  lu.assertEquals(found, { "crc=0 left true 0 null", "crc=0 null false 1 2", "unknown=0 left true 0 null" })
-  lu.assertEquals(code, 20)
-  lu.assertEquals(select(2, verdicts("source=who,crc=0", records)), 21)
 end
 
 function T.test_check_in_words()
@@ -914,12 +837,6 @@ function T.test_events_at_one_time()
   local frames = {}
   for i, line in ipairs(lines(printed)) do frames[i] = line:match('"frame":(%w+)') end
   lu.assertEquals(frames, { "2", "3", "3", "4", "5", "6", "null" }) -- the clock's step and the message at frame 3
-end
-
-function T.test_what_is_no_event_of_a_list()
-  local records = { record(1, 0), bad(3, 0.1), lost(4, 0.2, "orphan") }
-  lu.assertEquals(kinds(run({ "events,json" }, records)), { "crc 00.100000005 3 ", "incomplete 00.200000005 4 orphan" })
-  lu.assertEquals(run({ "faults,json" }, records), "")
 end
 
 -- A Command that disables motors which turn: random Commands and speeds on two buses against the definition.

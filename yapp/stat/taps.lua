@@ -252,9 +252,9 @@ local function terminal_size()
 end
 
 -- Let a live statistic draw in the terminal, if there is one, and end the run.
-local function add_terminal(self, context)
-  local is_terminal = HAS_SHELL and os.execute("test -t 1")
-  context.json = context.json or not is_terminal
+local function add_terminal(self, options, context)
+  options.json = options.json or not (HAS_SHELL and os.execute("test -t 1"))
+  context.json = options.json
   context.terminal = {
     size = terminal_size,
     has_no_color = (os.getenv("NO_COLOR") or "") ~= "",
@@ -287,7 +287,7 @@ local function begin_statistic(self, text, context)
   local filter = options.filter and tap_filter(self, options.filter)
   context.dates, context.settings = events.dates, self.settings
   context.json, context.make_folder = options.json, make_folder
-  if options.row.is_live and not context.frames then add_terminal(self, context) end
+  if options.row.is_live and not context.frames then add_terminal(self, options, context) end
   local statistic = options.row.new(options, context)
   local reads_frames = options.row.reads_frames or options.bitrate
   if reads_frames then tap_frames(self, statistic, options.filter) end

@@ -216,13 +216,6 @@ local function footer_of(rules, bus_rows)
   return lines
 end
 
--- Return how many of the rows behind the first ones are red, in a line.
-local function rest_line(rows, shown)
-  local red = 0
-  for i = shown + 1, #rows do red = red + (rows[i].is_red and 1 or 0) end
-  return ("... and %d more, %d of them red: make the window higher"):format(#rows - shown, red)
-end
-
 local function print_table(self, rows, rules, bus_rows, ending, pause)
   local terminal = self.context.terminal
   local width, height = terminal.size()
@@ -239,7 +232,9 @@ local function print_table(self, rows, rules, bus_rows, ending, pause)
     local line = cut(all[i], width)
     lines[#lines + 1] = is_red and red .. line .. normal or line
   end
-  if shown < #rows then lines[#lines + 1] = cut(rest_line(rows, shown), width) end
+  if shown < #rows then
+    lines[#lines + 1] = cut(("... %d more: make the window higher"):format(#rows - shown), width)
+  end
   for _, line in ipairs(footer) do lines[#lines + 1] = cut(line, width) end
   local before = terminal.in_place() and CLEAR or ""
   self.context.out(before .. table.concat(lines, "\n") .. "\n")
