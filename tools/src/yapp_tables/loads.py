@@ -202,7 +202,7 @@ def _curve(pairs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
     width = (grid[1] - grid[0]) / 2
     floor = LEAST_SHARE * float(np.quantile(every_y, 0.98) - np.quantile(every_y, 0.02))
     rows = []
-    for at in grid if width > 0 else ():
+    for at in grid if min(width, floor) > 0 else ():
         own = [y[np.abs(x - at) <= width] for x, y in pairs]
         near = every_x[np.abs(every_x - at) <= width]
         medians = [float(np.median(y)) for y in own if len(y)]
