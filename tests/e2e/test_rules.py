@@ -187,10 +187,7 @@ def random_rule(rng):
     points = [(0, *ends(field))]
     if rng.random() < 0.4:
         other = rng.choice([name for name in SPANS if name != field])
-        open_end = rng.choice([0, 1, 2])
-        for x in sorted({limit(other) for _ in range(rng.randrange(2, 5))}):
-            low, high = sorted((limit(field), limit(field)))
-            points = [*(points if points[0][0] != 0 else []), (x, None if open_end == 1 else low, None if open_end == 2 else high)]
+        points = [(x, *sorted((limit(field), limit(field)))) for x in sorted({limit(other) for _ in range(rng.randrange(2, 5))})]
         if len(points) < 2:
             other, points = "", [(0, *points[0][1:])]
     tests = tuple(test() for _ in range(rng.choice([0, 1, 1, 2])))

@@ -156,7 +156,7 @@ def test_a_low_battery_shows_in_the_mean_of_a_short_flight(learnt, tmp_path):
     """Its lowest value is one that longer flights have, too."""
     code, broken = judge(write(tmp_path / "bad.pcapng", 205, "battery"), learnt / "flight.rules")
     assert code == 20
-    assert {rule.partition("=")[0] for rule in broken} == {f"{name} motor.dc_voltage.mean" for name in NAMES.values()}
+    assert {rule.partition("=")[0] for rule in broken} >= {f"{name} motor.dc_voltage.mean" for name in NAMES.values()}
 
 
 def test_what_stands_in_the_file(learnt):
@@ -358,14 +358,19 @@ def samples_of(flight, x, y):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_what_lasts(seed):
-    """Of each stretch of so many periods its least value, of these the largest; not over a gap or a reserved value."""
-    rng, length = random.Random(seed), random.Random(seed).randrange(0, 5)
+    """Of each stretch that lasts so long its least value, of these the largest; a gap ends it, a reserved value does not."""
+    rng, length = random.Random(seed), random.Random(seed).randrange(5)
     values = [rng.choice([math.nan, *range(9), *range(9)]) for _ in range(40)]
     one = samples_of("a", values, values)
     one.times[20:] += 1
-    kept = [[value for value in part if value == value] for part in (values[:20], values[20:])]
-    windows = [part[at : at + length + 1] for part in kept for at in range(len(part) - length)]
-    assert loads.held(one, one.values["x"], length, 0.1) == (max(map(min, windows)), min(map(max, windows)))
+    stretches = []
+    for begin, end in ((0, 20), (20, 40)):
+        kept = [at for at in range(begin, end) if values[at] == values[at]]
+        for place, at in enumerate(kept):
+            last = next((other for other in kept[place:] if other - at >= length), None)
+            if last is not None:
+                stretches.append([values[other] for other in kept if at <= other <= last])
+    assert loads.held(one, one.values["x"], length, 0.1) == (max(map(min, stretches)), min(map(max, stretches)))
 
 
 def test_limits_over_another_field():

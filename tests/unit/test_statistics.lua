@@ -579,14 +579,14 @@ end
 function T.test_limits_over_another_field()
   local records = {}
   for i, volts in ipairs { 3, 4, 5, 6 } do records[i] = record(i, i, { payload = payload(volts, 0, 3) }) end
-  local printed, code = run({ "check,json,motor.volts.over(volts)=3:..10;5:..20" }, records)
+  local printed, code = run({ "check,json,motor.volts.over(volts)=3:0..10;5:0..20" }, records)
   lu.assertEquals(code, 0)
-  lu.assertStrContains(printed, '"frame":1,"seen":0,"limit":"3:..10;5:..20","worst":3,"margin":7,"percent":70,' ..
+  lu.assertStrContains(printed, '"frame":1,"seen":0,"limit":"3:0..10;5:0..20","worst":3,"margin":3,"percent":30,' ..
     '"note":"of 3 values, 25 % more not judged: volts outside the points"')
-  lu.assertEquals(verdicts("motor.mode.over(volts)=3:..4;5:..2", records)[1], "motor.mode.over(volts)=3:..4;5:..2 left false 1 3")
-  printed, code = run({ "check,motor.mode.over(volts)=7:..4;8:..2" }, records)
+  lu.assertEquals(verdicts("motor.mode.over(volts)=3:0..4;5:0..2", records)[1], "motor.mode.over(volts)=3:0..4;5:0..2 left false 1 3")
+  printed, code = run({ "check,motor.mode.over(volts)=7:0..4;8:0..2" }, records)
   lu.assertEquals(code, 21)
-  lu.assertStrContains(printed, "volts was never within 7:..4;8:..2")
+  lu.assertStrContains(printed, "volts was never within 7:0..4;8:0..2")
 end
 
 function T.test_a_report_for_ci()

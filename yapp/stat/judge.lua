@@ -36,7 +36,6 @@ function M.new(rules, spreads)
       outside = 0, -- number of values that break the rule; worst = the farthest, like nearest
       worst = { room = 0 },
       stretch = nil, -- of values outside in a row: { since, count, worst }
-      longest = 0, -- seconds of the longest one
       noise = 0.0, -- sum of how far numbers lie from the mean of their neighbours, count = of these
       noisy = 0,
       first = nil, -- the latest two numbers: first, second
@@ -71,12 +70,6 @@ local function is_fulfilled(state, condition, event)
   return span(since[condition.text], event.at) >= condition.after
 end
 
--- Return a limit between those of two points; the open one if one of them is.
-local function between(from, to, share, open)
-  local limit = from + (to - from) * share
-  return limit == limit and limit or open
-end
-
 -- Return the limits of `over` at a value of the other field; nil outside the points.
 local function limits_at(points, x)
   if not (x >= points[1].x and x <= points[#points].x) then return nil end
@@ -84,7 +77,7 @@ local function limits_at(points, x)
   while x > points[i].x do i = i + 1 end
   local from, to = points[i - 1], points[i]
   local share = (x - from.x) / (to.x - from.x)
-  return between(from.low, to.low, share, -INFINITE), between(from.high, to.high, share, INFINITE)
+  return from.low + (to.low - from.low) * share, from.high + (to.high - from.high) * share
 end
 
 -- Return a number without noise: 10, not 9.9999999999999982.
@@ -98,9 +91,7 @@ local function add_outside(series, found, event)
   series.stretch = stretch
   stretch.count = stretch.count + 1
   if found.room < stretch.worst.room then stretch.worst = found end
-  local length = span(stretch.since, event.at)
-  series.longest = math.max(series.longest, length)
-  if length < series.rule.hold then return end
+  if span(stretch.since, event.at) < series.rule.hold then return end
   series.outside, stretch.count = series.outside + stretch.count, 0
   if stretch.worst.room < series.worst.room then series.worst = stretch.worst end
 end
@@ -113,7 +104,7 @@ local function judge(series, value, low, high, event)
   series.frame = event.frame
   if room < 0 or room < series.nearest.room then
     value, low, high = round(series.field, value), clean(low), clean(high)
-    room = clean(math.min(value - low, high - value))
+    room = math.min(value - low, high - value)
     local found = { room = room, value = value, low = low, high = high, frame = event.frame }
     if room < series.nearest.room then series.nearest = found end
     if room < 0 then return add_outside(series, found, event) end
@@ -231,16 +222,10 @@ end
 
 --- Describe the values that a rule judged.
 function M.describe(series)
-  local texts = { ("of %d values"):format(series.count) }
-  if series.beyond > 0 then
-    local share = series.beyond / (series.beyond + series.seen) * 100
-    local shape = "%.3g %% more not judged: %s outside the points"
-    texts[2] = shape:format(share, series.rule.other.name)
-  end
-  if series.rule.hold > 0 then
-    texts[#texts + 1] = ("outside for %.3g s at most"):format(series.longest)
-  end
-  return table.concat(texts, ", ")
+  local text, beyond = ("of %d values"):format(series.count), series.beyond
+  if beyond == 0 then return text end
+  local shape = "%s, %.3g %% more not judged: %s outside the points"
+  return shape:format(text, beyond / (beyond + series.seen) * 100, series.rule.other.name)
 end
 
 return M

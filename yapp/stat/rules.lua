@@ -280,10 +280,10 @@ end
 local function parse_points(text)
   local points, last = {}, -INFINITE
   for part in text:gmatch("[^;]+") do
-    local x, range = part:match("^(.-):(.*)$")
-    local point = { x = demand(x and decimal(x), POINTS) }
+    local x, low, high = part:match("^(.-):(.-)%.%.(.*)$")
+    local point = { x = decimal(x or ""), low = decimal(low or ""), high = decimal(high or "") }
+    demand(point.x and point.low and point.high and point.low <= point.high, POINTS)
     demand(point.x > last, "%s does not lie above %s", x, last)
-    point.low, point.high = parse_range(range)
     points[#points + 1], last = point, point.x
   end
   demand(#points > 1, POINTS)

@@ -75,15 +75,14 @@ def read(folder: Path, flight: str, fields: Record) -> Iterator[tuple[str, str, 
 def held(samples: Samples, values: Array, length: int, every: float) -> tuple[float, float] | None:
     """Return the highest and the lowest value that lasted for so many periods; None for no values."""
     good = np.isfinite(values)
-    if good.sum() <= length:
+    times, kept = samples.times[good], values[good]
+    late = np.diff(samples.times, prepend=samples.times[:1]) > LATE * every  # a gap breaks it
+    part = np.cumsum(late)[good]
+    ends = np.searchsorted(times, times + length * every - 1e-6)
+    windows = [kept[begin : end + 1] for begin, end in enumerate(ends) if end < len(kept) and part[begin] == part[end]]
+    if not windows:
         return None
-    windows = np.lib.stride_tricks.sliding_window_view(values[good], length + 1)
-    late = np.diff(samples.times)[:, None] > LATE * every  # a gap breaks it
-    broken = np.concatenate([[0], np.cumsum(late)])[good]
-    whole = broken[length:] == broken[: len(broken) - length]
-    if not whole.any():
-        return None
-    return float(windows[whole].min(axis=1).max()), float(windows[whole].max(axis=1).min())
+    return float(max(window.min() for window in windows)), float(min(window.max() for window in windows))
 
 
 class Field:
