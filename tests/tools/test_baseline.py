@@ -358,7 +358,7 @@ def samples_of(flight, x, y):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_what_lasts(seed):
-    """Of each stretch that lasts so long its least value, of these the largest; a gap ends it, a reserved value does not."""
+    """Of each stretch so long its least value, of these the largest; a gap ends it, a reserved value does not."""
     rng, length = random.Random(seed), random.Random(seed).randrange(5)
     values = [rng.choice([math.nan, *range(9), *range(9)]) for _ in range(40)]
     one = samples_of("a", values, values)

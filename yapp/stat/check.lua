@@ -139,24 +139,18 @@ local function add_row(self, row)
   table.insert(self.rows, row)
 end
 
--- Return a margin in percent of the range of the limits, or of the only one; nil without either.
-local function percent_of(margin, low, high)
-  local range = high - low
-  if range == math.huge then range = math.min(math.abs(low), math.abs(high)) end
-  return range > 0 and range < math.huge and margin / range * 100 or nil
-end
-
 -- Set the margin of a row whose rule was judged: of numbers, not of counts and codes.
 -- found  of a measure
 local function set_margin(row, rule, found)
   row.worst = found and found.value
   if rule.kind.is_count or found and not field_kinds.is_number(rule.field) then return end
   local one = found or { value = row.seen, low = rule.low, high = rule.high }
-  local margin = math.min(one.value - one.low, one.high - one.value)
-  local percent = percent_of(margin, one.low, one.high)
+  local range, margin = one.high - one.low, math.min(one.value - one.low, one.high - one.value)
+  if range == math.huge then range = math.min(math.abs(one.low), math.abs(one.high)) end
   row.margin = tonumber(("%.12g"):format(margin))
-  row.percent = percent and tonumber(("%.3g"):format(percent))
-  if row.ok == OK and percent and percent < CLOSE then
+  if range == 0 or range == math.huge then return end
+  row.percent = tonumber(("%.3g"):format(margin / range * 100))
+  if row.ok == OK and row.percent < CLOSE then
     row.note = (row.note and row.note .. ", " or "") .. "close to its limit"
   end
 end
@@ -259,7 +253,7 @@ function Check:finish(ending, notes)
   for _, text in ipairs(problems) do add_row(self, { ok = UNJUDGED, note = text }) end
   local problem = write_report(self)
   if problem then
-    problems[#problems + 1] = "the report is not written: " .. problem
+    table.insert(problems, "the report is not written: " .. problem)
     add_row(self, { ok = UNJUDGED, note = problems[#problems] })
   end
   local rows = options.json and judged or self.rows

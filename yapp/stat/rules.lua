@@ -327,33 +327,26 @@ local function set_field(rule, name)
   demand(not (rule.source and is_of_all), "a %s is of all sources, not of one", kind.name)
 end
 
--- Return the flags of a message type, a list of { name = "status.enabled", field, mask }.
-local function list_flags(message)
-  local rows = {}
-  for _, field in ipairs(message.fields) do
-    for _, flag in ipairs(field.flags or { field.kind == "bool" and field or nil }) do
-      local name = flag.filter:sub(#message.filter + 2)
-      rows[#rows + 1] = { name = name, field = field, mask = flag.mask or 0xFF }
-    end
-  end
-  return rows
-end
-
 -- Return the test of a part of a condition: FLAG, !FLAG, FIELD=NUMBER or FIELD=A..B.
 local function parse_test(message, text)
   local sign, name, value = text:match("^(!?)([^=]*)=?(.*)$")
-  local flag, names = find(list_flags(message), name)
-  if flag then
-    demand(value == "", "%s is a flag: write it without a value", name)
-    local state = sign == "" and 1 or 0
-    return { field = flag.field, mask = flag.mask, low = state, high = state }
+  local flags, state = {}, sign == "" and 1 or 0
+  for _, field in ipairs(message.fields) do
+    for _, flag in ipairs(field.flags or { field.kind == "bool" and field or nil }) do
+      local test = { field = field, mask = flag.mask or 0xFF, low = state, high = state }
+      test.name = flag.filter:sub(#message.filter + 2) -- status.enabled
+      flags[#flags + 1] = test
+    end
   end
+  local test, names = find(flags, name)
+  demand(not test or value == "", "%s is a flag: write it without a value", name)
+  if test then return test end
   demand(value ~= "", "%s has no flag %q, but %s; of a field, give a number or a range",
     message.name, name, names)
   demand(sign == "", "! is for flags")
-  local test = { field = find_field(message, name), low = decimal(value) }
-  test.high = test.low
-  if not test.low then test.low, test.high = parse_range(value) end
+  local number = decimal(value)
+  test = { field = find_field(message, name), low = number, high = number }
+  if not number then test.low, test.high = parse_range(value) end
   return test
 end
 
