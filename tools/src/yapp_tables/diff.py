@@ -26,7 +26,8 @@ from .errors import SetupError, count_of
 from .flight import Flight
 from .follow import SHAPES, Following
 from .intervals import BLOCK, Change, change, more_often, shift
-from .runs import APART, DEGREES, Load, Samples, joined, load_bins, samples, terms
+from .matrix import DEGREES
+from .runs import APART, Load, Samples, joined, load_bins, samples, terms
 from .scratch import scratch
 from .series import Array
 from .sources import controllers, source_name

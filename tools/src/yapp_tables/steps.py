@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from .follow import command_of
-from .runs import DEGREES, Samples
+from .matrix import DEGREES
+from .runs import Samples
 from .series import Array
 
 Record = dict[str, Any]

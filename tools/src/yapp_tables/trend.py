@@ -22,7 +22,8 @@ from . import plain_page
 from .errors import SetupError, count_of
 from .follow import SHAPES, Following
 from .intervals import lowest, slope
-from .runs import DEGREES, Load, Samples, samples
+from .matrix import DEGREES
+from .runs import Load, Samples, samples
 from .series import Array
 from .tables import SCHEMA
 
