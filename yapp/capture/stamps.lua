@@ -43,9 +43,9 @@ end
 --- Return a time without what the clock was set forward before it.
 -- time  seconds since the first packet, as stamped
 function Stamps:even(time)
-  local even = time
-  for _, set in ipairs(self.sets) do
-    if time >= set.to then even = even - set.length end
+  local even, sets = time, self.sets
+  for i = 1, #sets do
+    if time >= sets[i].to then even = even - sets[i].length end
   end
   return even
 end

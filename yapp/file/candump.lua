@@ -192,18 +192,13 @@ local function may_begin(found)
     found.before == 1 and (text.has_one_of(before, LIKE) or before:find(REST))
 end
 
--- Return whether a time is one that is not absolute, as candump pads it.
-local function is_short(stamp)
-  return stamp:find("^%d%d%d%.")
-end
-
 -- Return whether the times are those since the frame before (candump -t d), not those since the
 -- first one (-t z): these climb on each bus, but for a few.
 local function are_deltas(records)
   local falls, last = 0, {}
   for _, record in ipairs(records) do
     local stamp, bus = record.stamp, record.bus or ""
-    if is_short(stamp) then
+    if stamp:find("^%d%d%d%.") then -- not absolute, as candump pads it
       if stamp < (last[bus] or "") then falls = falls + 1 end
       last[bus] = stamp
     end
@@ -313,7 +308,7 @@ function M.open(file, report)
     like = LIKE,
     has_deltas = has_deltas,
     clock = 0, -- sum of the deltas in nanoseconds
-    decimals = found.lines:find("%(%d+%.%d%d%d%d%d%d%d%d%d%)") and 9 or 6,
+    decimals = head:find("%(%d+%.%d%d%d%d%d%d%d%d%d%)") and 9 or 6,
     has_several = found.has_several,
     stamps_differ = found.stamps_differ,
   })

@@ -144,14 +144,14 @@ end
 -- head     string: the first bytes of the file
 -- is_all   true if they are the whole file
 -- parse    function(line) -> record, is_known, see open
--- returns  { lines = the whole lines of head, records = list of their frames, others = list of the
---          lines that were not understood, before = how many of these stand in front of the first
---          frame, has_several = true if there are several buses, stamps_differ = true if the
---          frames have different time stamps }
+-- returns  { records = list of the frames in its whole lines, others = list of the lines that were
+--          not understood, before = how many of these stand in front of the first frame,
+--          has_several = true if there are several buses, stamps_differ = true if the frames have
+--          different time stamps }
 function M.survey(head, is_all, parse)
   local lines = is_all and head or head:match("^.*\n") or ""
   local records, others = {}, {}
-  local found = { lines = lines, records = records, others = others, before = 0,
+  local found = { records = records, others = others, before = 0,
     has_several = false, stamps_differ = false }
   for line in lines:gsub("^" .. MARK, ""):gmatch("[^\n]+") do
     local record, is_known = parse(line)

@@ -363,7 +363,7 @@ local function read_file(path, is_optional)
   if not file and is_optional and code ~= DENIED then return {} end
   if not file then return nil, "cannot be read: " .. why end
   file:close()
-  local ok, entries = pcall(function() return assert(loadfile(path))() end)
+  local ok, entries = pcall(dofile, path)
   if not ok then return nil, "cannot be read: " .. tostring(entries) end
   if type(entries) == "table" then return entries end
   return nil, "the file must return a list of messages, not " .. shown(entries)

@@ -66,14 +66,6 @@ local function update_field(self, change, key, time, steps)
   end
 end
 
-local function oldest_time(set)
-  local oldest = false
-  for _, fault in ipairs(set) do
-    if not oldest or fault.time < oldest then oldest = fault.time end
-  end
-  return oldest
-end
-
 --- Update the faults with a message.
 -- changes  list of { field, value, raised = mask, cleared = mask }, see message.history
 -- key      frame key of the message; time = seconds of the capture
@@ -94,7 +86,8 @@ function Faults:update(changes, key, time)
   end
   if not steps then return nil end
   if keys[#keys] ~= key then keys[#keys + 1] = key end
-  self.since[#keys], steps.set = oldest_time(self.set), self.set
+  local oldest = self.set[1]
+  self.since[#keys], steps.set = oldest and oldest.time or false, self.set
   return steps
 end
 

@@ -174,23 +174,6 @@ local function clock_change(source, message, time, clock)
   if jump > MAX_JUMP and elapsed >= 0 and source.has_clock then return "jump", jump end
 end
 
--- Flags ------------------------------------------------------------------------------------------
-
--- Return the change of a flags field, nil for nothing.  In a source's first message, faults that
--- are set count as raised.
-local function flag_change(field, before, now)
-  before = before or now - band(now, field.alarm_bits)
-  local both = band(before, now)
-  local raised, cleared = now - both, before - both
-  if raised == 0 and cleared == 0 then return nil end
-  return {
-    field = field,
-    value = now,
-    raised = raised,
-    cleared = cleared,
-  }
-end
-
 -- Detectors --------------------------------------------------------------------------------------
 --
 -- A detector is a function(source, message, delta, change, time, clock).  It returns the name of a
@@ -212,7 +195,8 @@ local function detect_clock(source, message, _, _, time, clock)
   return name, value
 end
 
--- "flags": the fields whose flags change.
+-- "flags": the fields whose flags change.  In a source's first message, faults that are set count
+-- as raised.
 local function detect_flags(source, message)
   local raws, flags, fields, changes = message.raws, source.flags, source.flag_fields, nil
   if not raws then return nil end
@@ -222,10 +206,12 @@ local function detect_flags(source, message)
     local now, before = raws[index], flags[index]
     if now and now ~= before then
       flags[index] = now
-      local change = flag_change(field, before, now)
-      if change then
+      before = before or now - band(now, field.alarm_bits)
+      if now ~= before then
+        local both = band(before, now)
         changes = changes or {}
-        insert(changes, change)
+        local raised, cleared = now - both, before - both
+        insert(changes, { field = field, value = now, raised = raised, cleared = cleared })
       end
     end
   end

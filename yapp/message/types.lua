@@ -72,11 +72,6 @@ local function title_of(message_type, id)
   return message_type and message_type.title or ("ID 0x%x"):format(id)
 end
 
--- Return the function that writes the values in Info, nil without a message type.
-local function write_of(message_type, hides_values)
-  return message_type and (hides_values and message_type.info_rest or message_type.info)
-end
-
 -- Return the label of a message: its title and the name of its source.  Without a name, the ID or
 -- bus follows if it tells the source from others: "Motor Data left", "Motor Data 0x212 (can1)",
 -- "Motor Data", "ID 0x123".
@@ -127,7 +122,7 @@ function Types:new_source(id, bus_key, bus, line)
     min_size = (message_type or NONE).min_size,
     label = label,
     short = self.hidden.source and title_of(message_type, id) or label,
-    write = write_of(message_type, self.hidden.values),
+    write = (message_type or NONE)[self.hidden.values and "info_rest" or "info"],
     text = name or column_text(self, id, bus, line),
     texts = {},
   }
