@@ -304,10 +304,10 @@ class Truth:
             self.event("incomplete", sender, frames[0], what="orphan")
         elif ended:
             self.event("incomplete", sender, frames[-1], what="overrun" if message.fate == "overrun" else "incomplete")
-        else:  # the next message may be of another bus; the Start behind it decides
+        else:  # the next Start decides
             following = [one for one in later if one.frames]
             if following:
-                self.event("incomplete", sender, following[1].frames[0] if following[1:] else frames[-1], what="incomplete")
+                self.event("incomplete", sender, following[0].frames[0], what="incomplete")
             else:
                 self.event("unfinished", sender, frames[-1])
 
