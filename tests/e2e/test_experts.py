@@ -278,7 +278,8 @@ def test_one_message_has_one_item_of_each_kind_about_faults():
     assert lines[:3] == ["[Faults: motor_overcurrent, faulted, raised here]", "[Fault Flags: next change in: 908]",
                          "[Time since the oldest fault was raised: 0.000000000 seconds]"]
     assert lines[3].startswith("[Expert Info") and lines[3].endswith("Fault flags are set]")
-    assert lines[lines.index("Fault Flags: 0x00010000 (motor_overcurrent)") + 1].endswith("Motor overcurrent: True")
+    flags = next(i for i, line in enumerate(lines) if line.startswith("Fault Flags: 0x00010000 (motor_overcurrent)"))
+    assert lines[flags + 1].endswith("Motor overcurrent: True")
     assert between.startswith("    [Faults: motor_overcurrent, faulted, for 0.") and "[Fault Flags: previous change in: 719]" in between
     assert cleared.startswith("    [Faults: none; motor_overcurrent, faulted cleared here]")
     assert "[Fault Flags: previous change in: 719]" in cleared
