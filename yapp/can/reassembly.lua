@@ -194,7 +194,8 @@ local function leave_rest(self, message, is_taken, list)
   local chunks, rest, strangers, transfers = message.chunks, {}, {}, self.transfers
   for i = 2, #message do
     local distance, key, owner = #message - i, message[i], message
-    local is_kept = transfers[key] ~= nil
+    local seeming = transfers[key] -- of another slot, if a read filter dropped this frame
+    local is_kept = seeming == false or seeming and seeming.slot == message.slot
     if not is_taken[distance] then
       rest[distance], owner = true, heir_of(list, distance)
       if not owner and chunks[i - 1] == chunks[i - 2] then
