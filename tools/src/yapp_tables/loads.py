@@ -136,12 +136,13 @@ def _hold(length: int, every: float) -> str:
 
 
 def _ends(found: Sequence[Samples], values_of: Callable[[Samples], Array], hold: tuple[int, float]) -> list[Extreme]:
-    """Return what lasted in each flight."""
+    """Return what lasted in each flight, on either side: the gate counts a row of values outside, wherever they lie."""
     ends = []
     for samples in found:
-        extremes = held(samples, values_of(samples), *hold)
+        extremes = held(samples, np.abs(values_of(samples)), *hold)
         if extremes:
-            ends.append((Decimal(extremes[1]), Decimal(extremes[0]), samples.flight))
+            top = Decimal(extremes[0])
+            ends.append((-top, top, samples.flight))
     return ends
 
 
