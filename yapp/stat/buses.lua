@@ -241,11 +241,17 @@ local function row_of(self, bus, ending)
   }
 end
 
+--- Return the row of each bus.
+function Buses:rows(ending)
+  local rows = {}
+  for i, bus in ipairs(self.list) do rows[i] = row_of(self, bus, ending) end
+  return rows
+end
+
 --- End, see stat.answer.
 function Buses:finish(ending, notes)
-  local function to_row(bus) return row_of(self, bus, ending) end
   local title = ("YAPP buses: %d"):format(#self.list)
-  output.print(self.context, title, COLUMNS, self.list, notes, to_row)
+  output.print(self.context, title, COLUMNS, self:rows(ending), notes)
 end
 
 return M

@@ -66,7 +66,7 @@ function M.new(options, context)
     raised = {}, -- by source: event of the latest fault that was raised
     before = {}, -- by source: { count, time = of the latest message } at the latest tick
     must_stop = false, -- true if the next packet ends the run
-    has_failed = false, -- true if `stop` ended it
+    code = nil, -- the exit code, if `stop` ended it
     is_over = false, -- true if it ends
   }, Watch)
 end
@@ -187,77 +187,54 @@ local function cut(text, width)
   return text
 end
 
--- Return the lines of the table: its heading, and one for each row.
-local function lines_of(rows)
-  local lines = {}
-  output.table({ out = function(line) lines[#lines + 1] = line:gsub("\n$", "") end }, TABLE, rows)
-  return lines
+-- Append a table: its heading, and a line for each row, red where something is wrong.
+local function append_table(lines, columns, rows, terminal, width)
+  local index = 0
+  local function add_line(text)
+    local row, line = rows[index], cut(text:gsub("\n$", ""), width)
+    if row and (row.is_red or row.ok) and not terminal.has_no_color then
+      line = RED .. line .. NORMAL
+    end
+    lines[#lines + 1], index = line, index + 1
+  end
+  if rows[1] then output.table({ out = add_line }, columns, rows) end
 end
 
-local function bus_line(row)
-  local load, errors = "", row.errors.text == "" and "no error frames" or row.errors.text
-  if row.load then
-    load = ("load %s, at most %s in 1 s, "):format(row.load.text, row.load_max.text)
-  end
-  return ("bus %s: %s%s"):format(row.bus or "", load, errors)
-end
-
--- Return what stands below the table: the buses and the rules that failed.
-local function footer_of(rules, bus_rows)
-  local lines, failed = {}, {}
-  for i, row in ipairs(bus_rows) do lines[i] = bus_line(row) end
-  for _, row in ipairs(rules) do
-    if row.ok == check.FAILED then failed[#failed + 1] = row.rule .. " " .. row.who end
-  end
-  if failed[1] then
-    local count = ("%d of %d rules FAILED: "):format(#failed, #rules)
-    lines[#lines + 1] = count .. table.concat(failed, ", ")
-  end
-  return lines
-end
-
-local function print_table(self, rows, rules, bus_rows, ending, pause)
-  local terminal = self.context.terminal
+local function print_tables(self, rows, failed, bus_rows, ending, pause)
+  local terminal, lines = self.context.terminal, {}
   local width, height = terminal.size()
-  local red, normal = RED, NORMAL
-  if terminal.has_no_color then red, normal = "", "" end
-  local sources = output.count(#rows, "source")
-  local title = ("YAPP watch: %s in %.1f s"):format(sources, ending.last or 0)
+  local title = ("YAPP watch: %s in %.1f s"):format(output.count(#rows, "source"), ending.last or 0)
   if pause > 1 then title = title .. (", no packet for %d s before that"):format(pause) end
-  local all, footer = lines_of(rows), footer_of(rules, bus_rows)
-  local lines = { cut(title, width) }
-  local shown = math.max(math.min(#rows, height - 4 - #footer), 0)
-  for i = 1, shown + 1 do
-    local is_red = i > 1 and rows[i - 1].is_red
-    local line = cut(all[i], width)
-    lines[#lines + 1] = is_red and red .. line .. normal or line
+  lines[1] = cut(title, width)
+  append_table(lines, TABLE, rows, terminal, width)
+  append_table(lines, check.COLUMNS, failed, terminal, width)
+  append_table(lines, buses.COLUMNS, bus_rows, terminal, width)
+  local more = #lines - height + 1
+  if more > 0 then
+    lines[height - 1] = cut(("... %d more lines: make the window higher"):format(more + 1), width)
   end
-  if shown < #rows then
-    lines[#lines + 1] = cut(("... %d more: make the window higher"):format(#rows - shown), width)
-  end
-  for _, line in ipairs(footer) do lines[#lines + 1] = cut(line, width) end
-  local before = terminal.in_place() and CLEAR or ""
-  self.context.out(before .. table.concat(lines, "\n") .. "\n")
+  local text = table.concat(lines, "\n", 1, math.min(#lines, height - 1))
+  self.context.out((terminal.in_place() and CLEAR or "") .. text .. "\n")
 end
 
--- Print how things stand; return the rows of the rules.
+-- Print how things stand; return whether a rule failed that no more packets can mend.
 -- pause  seconds for which no packet came
 local function print_state(self, ending, pause)
   local rows, bus_rows = rows_of(self, ending), self.buses:rows(ending)
-  local rules = self.check and self.check:judge(ending) or kinds.NOTHING
-  if not self.context.json then
-    print_table(self, rows, rules, bus_rows, ending, pause)
-  else
-    print_json(self, rows, rules, bus_rows, ending)
-  end
-  return rules
-end
-
--- Return whether a rule failed that no more packets can mend.
-local function has_failed(rules)
+  local rules, failed = self.check and self.check:judge(ending) or kinds.NOTHING, {}
+  local has_failed = false
   for _, row in ipairs(rules) do
-    if row.ok == check.FAILED and row.is_final then return true end
+    if row.ok == check.FAILED then
+      failed[#failed + 1] = row
+      has_failed = has_failed or row.is_final
+    end
   end
+  if self.context.json then
+    print_json(self, rows, rules, bus_rows, ending)
+  else
+    print_tables(self, rows, failed, bus_rows, ending, pause)
+  end
+  return has_failed
 end
 
 --- Print how things stand, once a second.
@@ -265,10 +242,11 @@ end
 -- pause   seconds since the latest tick
 function Watch:tick(ending, pause)
   if self.is_over then return end
-  local rules = print_state(self, ending, pause)
-  local is_read = self.context.flush() -- false if the pipe is closed
-  self.has_failed = self.must_stop or self.options.stop == "rule" and has_failed(rules)
-  self.is_over = self.has_failed or not is_read
+  local has_failed = print_state(self, ending, pause)
+  if self.must_stop or has_failed and self.options.stop == "rule" then
+    self.code = output.EXIT_FAILED
+  end
+  self.is_over = self.code or not self.context.flush() -- that fails if the pipe is closed
   if self.is_over then self.context.stop() end
 end
 
@@ -277,7 +255,7 @@ function Watch:finish(ending, notes)
   print_state(self, ending, 0)
   if not self.context.json then self.context.out("\n") end
   local code = self.faults:finish(ending, notes)
-  return self.has_failed and output.EXIT_FAILED or code
+  return self.code or code
 end
 
 return M
