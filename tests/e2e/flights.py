@@ -346,7 +346,8 @@ def gaps_by_clock(sender, good):
     for before, after in zip(good, good[1:]):
         length = after.frames[-1].at - before.frames[-1].at
         advance = clock_of(sender, after.payload) - clock_of(sender, before.payload)
-        yield advance if 0 < advance <= length + SECOND else length
+        has_room = length > 1.5 * sender.message.every * SECOND
+        yield advance if has_room and 0 < advance <= length + SECOND else length
 
 
 def fitting(gaps, sender):

@@ -67,21 +67,25 @@ end
 -- advance  seconds of this clock since then
 -- returns  its even time, nil while nothing tells about a gap before it
 function Stamps:add(time, key, before, advance)
-  local latest, gap = self.latest, self.gap
+  local latest, gap, even = self.latest, self.gap, self:even(time)
   self.latest = time
   if latest and time - latest > MIN_SET then
     gap = { from = latest, to = time, length = nil, key = key }
+    self.gap = gap
   elseif gap and math.abs(time - gap.to) > MAX_WAIT then
-    gap = nil
+    gap, self.gap = nil, nil
   end
-  self.gap = gap
   if before then
-    local elapsed = self:even(time) - before
     self.count = self.count + 1
-    if elapsed == 0 and advance > 0 and advance <= MAX_ADVANCE then self.equal = self.equal + 1 end
-    if gap and advance > 0 then judge_gap(self, elapsed, advance) end
+    if even == before and advance > 0 and advance <= MAX_ADVANCE then
+      self.equal = self.equal + 1
+    end
+    if gap and advance > 0 then
+      judge_gap(self, even - before, advance)
+      return self:even(time)
+    end
   end
-  return not self.gap and self:even(time) or nil
+  return not gap and even or nil
 end
 
 return M

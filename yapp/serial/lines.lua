@@ -16,17 +16,14 @@ Lines.__index = Lines
 --- Make the lines of a capture.
 -- types  a message.types, buses = a capture.capture
 function M.new(types, buses)
+  local commands = {}
+  for _, message_type in ipairs(types.messages) do commands[message_type.answers or 0] = true end
   return setmetatable({
     types = types,
     buses = buses,
     by_key = {}, -- the lines, by key_of; of USB by name
     by_bus = memo(function() return {} end), -- [bus of UDP and TCP][ID] = a source
-    commands = memo(function(of_type) -- [message type] = true if controllers receive it
-      for _, other in ipairs(types.messages) do
-        if other.answers == of_type.name then return true end
-      end
-      return false
-    end),
+    commands = commands, -- [name of a message type] = true if controllers receive it
     has_serial = false, -- true if a line is neither of UDP or TCP nor of an adapter
   }, Lines)
 end
@@ -115,7 +112,7 @@ function Lines:source(line, id)
   local bus, bus_key, sources = line.bus, line.bus_key, line.sources
   if line.receiver then
     local of_type = id and self.types:type_of(id, line.receiver)
-    if of_type and self.commands[of_type] then bus = line.receiver end
+    if of_type and self.commands[of_type.name] then bus = line.receiver end
     bus_key, sources = bus, self.by_bus[bus]
   end
   source = sources[key]

@@ -118,7 +118,6 @@ local function new_state(source)
   return {
     source = source,
     last = nil, -- event of its latest good message
-    clock = nil, -- the controller's in it, or nil
     faults = NOTHING, -- list of those that are set, as they rose, see message.faults
     is_numbered = false, -- true if Seq No numbers its messages: it changed
     shared_since = math.huge, -- number of the packet from which on two controllers share it
@@ -179,6 +178,16 @@ local function room_of(source, length)
   local every = source.type and source.type.every
   local periods = every and length / every or 0
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
+end
+
+-- Return the same between two messages.  The controller's clock has the gap, unless that was set.
+-- length  of it by the stamps
+local function room_between(last, event, length, change)
+  local every = event.source.type and event.source.type.every or math.huge
+  if length > 0 and length <= MAX_GAP * every then return 0 end -- the usual case
+  local before, now = clock_of(last), clock_of(event)
+  local is_even = before and now and now > before and not change.jump
+  return room_of(event.source, is_even and now - before or length)
 end
 
 --- Return the event of a fault.
@@ -277,15 +286,12 @@ local function add_motion(self, state, event)
 end
 
 -- Account for the time between two messages of a source: has it room for others, is it a silence?
--- Room goes by the controller's clock, unless that was set.
--- advance  seconds of this clock, nil without one
-local function add_span(self, state, last, event, change, advance)
+local function add_span(self, state, last, event, change)
   local length, late = span(last.at, event.at), change.late
   if change.may_be_late and length > self.settings.late * event.source.type.every then
     late = length
   end
-  local is_even = advance and advance > 0 and not change.jump
-  local room = room_of(event.source, is_even and advance or length)
+  local room = room_between(last, event, length, change)
   state.room = state.room + room
   if not late then return end
   state.room_silent = state.room_silent + room
@@ -294,14 +300,11 @@ end
 
 local function add_message(self, state, event)
   local last, values = state.last, event.values
-  local change, clock = values.change or NOTHING, clock_of(event)
-  local advance = clock and state.clock and clock - state.clock
-  state.last, state.clock = event, clock
+  local change = values.change or NOTHING
+  state.last = event
   if last then
     if event.seq ~= last.seq then state.is_numbered = true end
-    if not values.is_unreliable then
-      add_span(self, state, last, event, change, advance)
-    end
+    if not values.is_unreliable then add_span(self, state, last, event, change) end
   end
   self.hand_on(event)
   if change ~= NOTHING then add_changes(self, state, event, change) end
@@ -368,6 +371,17 @@ end
 
 -- The end -----------------------------------------------------------------------------------------
 
+-- Account for the time from the last message of a source to the end of the capture.
+local function finish_source(self, state, last, length)
+  local every = last.source.type and last.source.type.every
+  state.room_at_end = room_of(last.source, length)
+  if every and length > self.settings.late * every then
+    local values = { length = output.seconds(length), is_last = true }
+    state.room_silent = state.room_silent + state.room_at_end
+    self.hand_on(new_follower("silence", last, values))
+  end
+end
+
 --- End: hand on what only the end shows.
 -- length_since  function(event) -> seconds from a message to the capture's end
 -- has_times     true if lengths mean something
@@ -379,15 +393,9 @@ function Events:finish(length_since, has_times)
   end
   for _, state in ipairs(self.states) do
     local last = state.last
-    if not (has_times or state.clock) then state.room = 0 end
+    if not (has_times or last and clock_of(last)) then state.room = 0 end
     if last and not last.values.is_unreliable then
-      local every, length = last.source.type and last.source.type.every, length_since(last)
-      state.room_at_end = room_of(last.source, length)
-      if every and length > self.settings.late * every then
-        local values = { length = output.seconds(length), is_last = true }
-        state.room_silent = state.room_silent + state.room_at_end
-        self.hand_on(new_follower("silence", last, values))
-      end
+      finish_source(self, state, last, length_since(last))
     end
   end
 end
