@@ -57,7 +57,9 @@ def test_report_says_it_first(capture, yapp_tables, tmp_path):
     done = yapp_tables("report", capture)
     assert done.returncode == 3
     assert SENTENCE in done.stderr
-    assert f'"undecoded": "{SENTENCE}"' in (tmp_path / "flight.html").read_text()
+    page = re.sub("<.*?>", "", (tmp_path / "flight.html").read_text().partition("<body>")[2])
+    assert "UNKNOWN: no fault, reboot or silence in what was decoded; not all decoded." in page
+    assert page.index("UNKNOWN") < page.index(SENTENCE) < page.index("Controllers compared")
 
 
 def test_a_capture_without_a_decoded_message(make_capture, yapp_tables):
