@@ -63,8 +63,10 @@ local function fly(one, source, until_time, ...)
   end
 end
 
+-- Whatever the width of its columns.
 local function has(text, ...)
-  for _, part in ipairs { ... } do lu.assertStrContains(text, part) end
+  text = text:gsub(" +", " ")
+  for _, part in ipairs { ... } do lu.assertStrContains(text, (part:gsub(" +", " "))) end
 end
 
 function T.test_a_card()
@@ -86,15 +88,14 @@ function T.test_a_card()
   one.add(kinds.new_event("silence", 1, 3, LEFT, { length = output.seconds(5.5) }))
   local text, code = one.finish()
   lu.assertNil(code)
-  lu.assertStrMatches(text, "YAPP fault: hot, stall %(1 of 1%)\na note\n\n" ..
-    "can0 0x211, frame 104, for 0.700 s\n.* UTC, 10.000 s after the start\n.*")
-  has(text, "  0.000  hot    why\n", "  0.700  stall  why\n",
-    "Volts  10.5 -> 40.0 V (3.8 times), 12.0 at the fault\n",
-    " -0.210    100  Volts", "State slow  off -> on\n", "unchanged  Enabled\n", "-9.400      2  unchanged",
-    " -0.100    103  left    FAULT stall  NaN V\n",
+  lu.assertStrMatches(text, "YAPP fault: 1 of 1\na note\n\n.* 104  can0  0x211 .* 0.700\n.*")
+  has(text, "0.000  hot    why\n", "0.700  stall  why\n",
+    "-0.210 100 motor volts 10.5 40 V 3.80952\n",
+    "motor state slow 0 1\n", "unchanged  Enabled\n", "-9.400      2  can0 0x1  unchanged",
+    "-0.100    103  left    FAULT stall  NaN V\n",
     "-0.500    500  left    missing  messages missing by Seq No: 2\n",
-    "left    silence  silent for 5.500 s\n", "  0.500    109  FAULT hot, stall  12 V\n")
-  for _, part in ipairs { "No: 3", "-7.000", "0.600", "  0.000    104  Volts" } do
+    "left    silence  silent for 5.500 s\n", "0.500    109  can0 0x211  FAULT hot, stall  12 V\n")
+  for _, part in ipairs { "No: 3", "-7.000", "  0.600", "  104  motor  volts" } do
     lu.assertNotStrContains(text, part)
   end
 end
@@ -104,8 +105,8 @@ function T.test_a_card_of_a_controller_that_has_no_other_and_no_command()
   one.flag(one.send(LEFT, 1, 254, 1, 0), "raised", "hot", {})
   local text, code = one.finish(1)
   lu.assertEquals(code, output.EXIT_UNDECIDED)
-  has(text, "YAPP fault: hot (1 of UNKNOWN, 1 of 3 sources not decoded, 1 in what was decoded)\n",
-    "seconds before: none\n", "The latest Command: none\n", "The other controllers: none\n", "still set after 0.000 s")
+  has(text, "YAPP fault: 1 of UNKNOWN, 1 of 3 sources not decoded, 1 in what was decoded\n",
+    "seconds before: none\n", "The latest Command: none\n", "The other controllers: none\n")
 end
 
 -- A sensor fails; the bus's Command is shown where the controller has none of its own, with its change.
@@ -115,8 +116,8 @@ function T.test_a_reserved_value_and_the_command_of_the_bus()
   fly(one, LEFT, 10, 255, 255)
   one.flag(one.send(LEFT, 10, 255, 1, 0), "raised", "hot", {})
   local text = one.finish()
-  has(text, "-6.000      4  Command Enabled  Enabled -> Disabled\n" ..
-    " -0.110    103  Volts  10.5 -> no number\n", "-6.000      4  Disabled\n")
+  has(text, "-6.000      4  command  enabled     1    0\n" ..
+    "-0.110    103  motor    volts    10.5  inf  V", "-6.000      4  can0 0x5  Disabled\n")
 end
 
 function T.test_which_fault()
@@ -131,12 +132,12 @@ function T.test_which_fault()
     local text, code, problem = one.finish()
     return text:match("YAPP fault[^\n]*"), code, problem
   end
-  for number, title in ipairs { "hot (1 of 3)", "stall (2 of 3)", "hot (3 of 3)" } do
+  for number, title in ipairs { "1 of 3", "2 of 3", "3 of 3" } do
     lu.assertEquals(titles { number = number }, "YAPP fault: " .. title)
     for behind = 0, 2 do lu.assertEquals(titles { at = 3 * number - 2 + behind }, "YAPP fault: " .. title) end
   end
-  lu.assertEquals({ titles { number = 4 } }, { "YAPP fault: 3", 21, "there is no fault 4" })
-  lu.assertEquals({ titles { at = 10 } }, { "YAPP fault: 3", 21, "no fault is set in frame 10 or behind it" })
+  lu.assertEquals({ titles { number = 4 } }, { "YAPP fault: 3", 21, "there is no such fault: the capture has 3" })
+  lu.assertEquals({ titles { at = 10 } }, { "YAPP fault: 3", 21, "there is no such fault: the capture has 3" })
   lu.assertEquals({ flight({ }).finish() }, { "YAPP fault: 0\na note\n" })
 end
 
@@ -148,7 +149,7 @@ function T.test_json()
   has(one.finish(), '{"incident":1,"incidents":1,"time":1.000000000,"frame":1,' .. who,
     '"flags":[{"since":0.000000000,"field":"flags","flag":"hot","help":"why"}],' ..
     '"changes":[],"command":[],"others":[],"events":[],"messages":[{"since":0.000000000,"frame":1,' ..
-    who .. '"faults":"FAULT hot","values":{"volts":null,"flags":1,"state":0}}]}')
+    who .. '"values":{"volts":null,"flags":1,"state":0}}]}')
 end
 
 return T

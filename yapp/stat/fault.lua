@@ -15,8 +15,8 @@ local text_of = require "yapp.message.text"
 
 local M = {}
 
-local insert, abs = table.insert, math.abs
-local KINDS, is_number = field_kinds.BY_NAME, field_kinds.is_number
+local insert, abs, huge = table.insert, math.abs, math.huge
+local KINDS, unpack = field_kinds.BY_NAME, rawget(table, "unpack")
 
 local USUAL = 10 -- seconds before the fault, which tell what is usual
 -- A value left its range if it is so many usual spreads from the median of the values before it.
@@ -30,42 +30,42 @@ local ALONE = 1.5 -- the last value, which no other confirms, must be so much fa
 local ENOUGH = 0.8 -- of the largest distance: the way back from it is as large
 local NEAR = 1 -- seconds before and behind the fault
 local BEFORE, BEHIND = 10, 5 -- messages
-local ON_OFF = { [0] = "off", "on" }
-local NO_FAULT = "no fault is set in frame %d or behind it"
-local NO_NUMBER = "there is no fault %d"
+local MISSING = "there is no such fault: the capture has %d"
 
--- By key: title, columns for people, and keys of JSON.
-local MESSAGE = "since frame bus id source message faults values"
+-- Sections: key, title, and columns: - for JSON alone, * for people alone.
+local MESSAGE = "since frame *who -bus -id -source -message values"
 local SECTIONS = {
-  { "flags", "Flags", "since flag help", "since field flag help" },
-  { "changes", "Left its range of the ten seconds before", "since frame what",
-    "since frame message field flag unit from to times at_fault" },
-  { "command", "The latest Command", "since frame what", MESSAGE },
-  { "others", "The other controllers", "since frame who what", MESSAGE },
-  { "events", "Events within a second", "since frame who kind details" },
-  { "messages", "The messages around it", "since frame what", MESSAGE },
+  { "flags", "Flags", "since -field flag help" },
+  { "changes", "Left its range of the ten seconds before",
+    "since frame message field flag from to unit times -at_fault" },
+  { "command", "The latest Command", MESSAGE },
+  { "others", "The other controllers", MESSAGE },
+  { "events", "Events within a second", "*since *frame *who *kind *details" },
+  { "messages", "The messages around it", MESSAGE },
 }
-local TITLES = { since = "since/s", who = "source", kind = "event", what = "" }
-
+local PLACES = { ["-"] = "json", ["*"] = "text window" }
 local COLUMNS = {
-  { "incident", type = "integer", help = "the number of the fault, from 1; null for none" },
-  { "incidents", type = "integer", help = "how many faults the capture has" },
+  { "incident", type = "integer", where = "json", help = "the number of the fault, from 1" },
+  { "incidents", type = "integer", where = "json", help = "how many faults there are" },
   { "time" },
-  { "frame" },
+  { "rel" },
+  { "frame", where = "json text window" },
+  { "who" },
   { "bus" },
   { "id" },
   { "source" },
-  { "message" },
+  { "message", where = "json text" },
   { "active" },
 }
 for _, section in ipairs(SECTIONS) do
-  local keys, shown = section[4], {}
-  insert(COLUMNS, { section[1], type = "list",
-    help = ("%s: `%s`"):format(section[2], keys or "as in `events`") })
-  for i, name in ipairs(output.words(section[3])) do
-    shown[i] = { name, where = "text window", title = TITLES[name] }
+  local columns = {}
+  for sign, name in section[3]:gmatch("([-*]?)(%S+)") do
+    insert(columns, { name, where = PLACES[sign] or "json text window" })
   end
-  section.columns, section.keys = output.columns(shown), keys and output.words(keys)
+  section.columns = output.columns(columns)
+  local keys = table.concat(section.columns.json, " ")
+  insert(COLUMNS, { section[1], type = "list", where = "json",
+    help = ("%s: `%s`"):format(section[2], keys ~= "" and keys or "as in `events`") })
 end
 --- The columns, see output.columns.
 M.COLUMNS = output.columns(COLUMNS)
@@ -74,247 +74,187 @@ local Fault = { follows_changes = true }
 Fault.__index = Fault
 
 --- Make the statistic.
--- options  { number = of the fault, from 1, or nil; at = number of a packet: the fault that is set
---          in it, or the next one; or nil }
+-- options  { number = of the fault, or nil; at = number of a packet, or nil: the fault that is set
+--          in it, or the next one }
 function M.new(options, context)
-  local self = setmetatable({
+  return setmetatable({
     is_chosen = options.at or options.number,
-    number = not options.at and (options.number or 1),
-    at = options.at,
+    at = options.at or huge,
+    number = options.number or options.at and 0 or 1,
     context = context,
     count = 0, -- of faults
     cards = {}, -- by source: of its latest fault
     card = nil, -- that is asked for
-    sources = {},
-    messages = nil, -- by source: events of its messages of the latest ten seconds, at least one
-    near = {}, -- the other events of the latest second
+    old = {}, -- with those of `new` the events of ten seconds, at least
+    new = {},
   }, Fault)
-  self.messages = memo(function(source)
-    insert(self.sources, source)
-    return {}
-  end)
-  return self
 end
 
 -- Gathering ---------------------------------------------------------------------------------------
 
--- Append an event to a list that has the latest seconds.
-local function append(list, event, seconds)
-  insert(list, event)
-  while event.time - list[1].time > seconds do table.remove(list, 1) end
-end
-
-local function new_card(self, event)
-  local messages = {}
-  for _, source in ipairs(self.sources) do messages[source] = joined(self.messages[source]) end
-  self.count = self.count + 1
-  return {
-    number = self.count,
-    incident = event.values.incident,
-    cause = event.cause, -- event of the first message with the fault
-    flags = {}, -- events of the flags that rose
-    open = 0, -- how many of them are set
-    last = nil, -- the latest event of one
-    messages = messages, -- as they were at the fault
-    behind = {}, -- those of the source behind it
-    near = joined(self.near),
-  }
-end
-
--- Take the card of a source if a message with the fault is the one that is asked for.
-local function choose(self, event)
-  local card = self.cards[event.source]
-  local is_asked = card and card.open > 0
-    and (card.number == self.number or event.frame >= (self.at or math.huge))
-  if is_asked and not self.card then self.card = card end
-end
-
 local function add_fault(self, event)
   local source, values = event.source, event.values
-  local card = self.cards[source]
-  if not card or card.incident ~= values.incident then card = new_card(self, event) end
-  self.cards[source], card.last = card, event
-  if values.event == "raised" then
-    insert(card.flags, event)
-    card.open = card.open + 1
-  elseif values.event == "cleared" then
-    card.open = card.open - 1
+  local card, what = self.cards[source], values.event
+  if not card or card.incident ~= values.incident then
+    self.count = self.count + 1
+    card = {
+      number = self.count,
+      incident = values.incident,
+      cause = event.cause, -- event of the first message with the fault
+      flags = {}, -- events of the flags that rose
+      open = 0, -- how many of them are set
+      last = nil, -- the latest event of one
+      events = joined(self.old, self.new), -- and those behind the fault
+      behind = 0, -- number of messages of the source behind it
+    }
+    self.cards[source] = card
   end
-  choose(self, event)
+  if what == "raised" then insert(card.flags, event) end
+  card.last = event
+  if what ~= "active" then card.open = card.open + (what == "raised" and 1 or -1) end
 end
 
 -- Return whether an event, or the silence that it begins, is within a second of a fault.
 local function is_near(card, event)
   local time, at = event.time, card.cause.time
   local length = event.kind == "silence" and event.values.length.json or 0
-  return time and time - NEAR <= at and at <= time + length + NEAR
+  return time - NEAR <= at and at <= time + length + NEAR
 end
 
-local function add_message(self, event)
-  local source, card = event.source, self.cards[event.source]
-  append(self.messages[source], event, USUAL)
-  if card and #card.behind < BEHIND then insert(card.behind, event) end
-  choose(self, event)
+-- Keep an event behind a fault, if its card shows it.
+local function keep(card, event)
+  local is_own = event.raws and event.source == card.cause.source and card.behind < BEHIND
+  if is_own then card.behind = card.behind + 1 end
+  if is_own or not event.raws and is_near(card, event) then insert(card.events, event) end
+end
+
+-- Return whether cards show an event.
+local function is_shown(event)
+  local kind, row = event.kind, kinds.BY_NAME[event.kind]
+  if event.raws or not row then return event.raws end
+  return event.time and kind ~= "unknown" and (kind == "copies" or not row.is_counted_only)
 end
 
 --- Add an event, see stat.answer.
 function Fault:add_event(event)
-  local kind = event.kind
-  if event.raws then return add_message(self, event) end
-  if kind == "fault" then add_fault(self, event) end
-  local row = kinds.BY_NAME[kind] or { is_counted_only = true }
-  local is_shown = kind == "copies" or kind ~= "unknown" and not row.is_counted_only
-  if not (event.time and is_shown) then return end
-  append(self.near, event, NEAR)
-  for _, card in pairs(self.cards) do
-    if is_near(card, event) then insert(card.near, event) end
+  if not is_shown(event) then return end
+  for _, card in pairs(self.cards) do keep(card, event) end
+  if event.kind == "fault" then add_fault(self, event) end
+  local card, new = self.cards[event.source], self.new
+  if card and card.open > 0 and (card.number == self.number or event.frame >= self.at) then
+    self.card = self.card or card
   end
+  if new[1] and event.time - new[1].time > USUAL then self.old, self.new = new, {} end
+  insert(self.new, event)
 end
 
 -- What changed ------------------------------------------------------------------------------------
 
--- Return the distance of each value from the median of the values before it, that median, and the
--- usual spread.
--- values  numbers, NaN for reserved values
-local function find_distances(values)
+-- Return the distance of each value from the median of those before it, that median, and the usual
+-- spread of a field.
+local function find_distances(values, field)
+  local step = field.min and (field.max - field.min) / field.ordinary or field.scale or 0
   local distances, middles, calm = {}, {}, {}
   for i, value in ipairs(values) do
-    local before = {}
-    for j = math.max(1, i - WINDOW), i - 1 do
-      if values[j] == values[j] then insert(before, values[j]) end
-    end
-    distances[i] = 0
-    if before[MIN_VALUES] then
-      middles[i] = groups.median(before)
-      distances[i] = value == value and abs(value - middles[i]) or math.huge
+    distances[i], middles[i] = 0, value
+    if i > MIN_VALUES then
+      middles[i] = groups.median { unpack(values, math.max(1, i - WINDOW), i - 1) }
+      if value ~= middles[i] then distances[i] = abs(value - middles[i]) end
       insert(calm, distances[i])
     end
   end
   table.sort(calm)
-  local count = #calm
-  return distances, middles, (1 + FEW / count) * (calm[math.ceil(count / 3)] or 0) / CALM
+  local usual = (calm[math.ceil(#calm / 3)] or 0) / CALM
+  return distances, middles, math.max(step, usual + usual * FEW / math.max(1, #calm))
 end
 
 -- Return the index of the value that left its range, with the next one or as the last one; the
--- usual value and the usual spread.  0 if none did.
--- step  the smallest difference of two numbers
-local function find_departure(values, step)
-  local distances, middles, spread = find_distances(values)
-  local count, largest = #values, 0
-  spread = math.max(spread, step)
-  local limit = FACTOR * spread
-  local function size_of(i)
-    return math.min(distances[i], distances[i + 1] or distances[i] / ALONE)
+-- usual value and the usual spread.  Nil if none did.
+local function find_departure(values, field)
+  local distances, middles, spread = find_distances(values, field)
+  local limit, sizes, largest = FACTOR * spread, {}, 0
+  for i, distance in ipairs(distances) do
+    local is_last = i == #distances
+    sizes[i] = math.min(distance, is_last and distance / ALONE or distances[i + 1])
+    if sizes[i] > limit and not is_last then largest = math.max(largest, sizes[i]) end
   end
-  for i = 1, count - 1 do largest = math.max(largest, size_of(i)) end
   -- What changes with the fault itself matters only if nothing did before.
-  local least = largest > limit and ENOUGH * largest or 0
-  for i = 1, count do
-    if size_of(i) > limit and size_of(i) >= least then
+  for i, size in ipairs(sizes) do
+    if size > limit and size >= ENOUGH * largest then
       local first = i
       while distances[first - 1] > limit do first = first - 1 end -- the first distance is 0
       return first, middles[first], spread
     end
   end
-  return 0
 end
 
--- Return the index of the latest value that differs from the one before it, and that one; 0 for
+-- Return the index of the latest value that differs from the one before it, and that one; nil for
 -- none.
 local function find_switch(values)
   for i = #values, 2, -1 do
     if values[i] ~= values[i - 1] then return i, values[i - 1] end
   end
-  return 0
 end
 
--- Return a value as people read it: "3346", "48.7", "0.35", "Speed Mode".
--- words  by value, of a code; nil of a number
-local function value_text(value, words)
-  if value ~= value then return "no number" end
-  if words then return words[value] or ("%d"):format(value) end
-  local size = abs(value)
-  return ("%%.%df"):format(size >= 100 and 0 or size >= 10 and 1 or 2):format(value)
-end
-
+-- Make a row of an event.
 local function new_row(card, event, row)
   local seconds = output.seconds(math.floor((event.time - card.cause.time) * 1e9 + 0.5) / 1e9)
   row.since, row.frame = { json = seconds.json, text = seconds.short }, event.frame
   return row
 end
 
--- Return the text of a change: "DC Current  18.9 -> 48.7 A (2.6 times), 54.7 at the fault".
-local function change_text(row)
-  local words, to = row.words, value_text(row.to, row.words)
-  local text = ("%s  %s -> %s"):format(row.title, value_text(row.from, words), to)
-  if row.unit and row.to == row.to then text = text .. " " .. row.unit end
-  if (row.times or 0) >= 1.4 then text = ("%s (%.1f times)"):format(text, row.times) end
-  local at_fault = value_text(row.at_fault, words)
-  return at_fault == to and text or ("%s, %s at the fault"):format(text, at_fault)
+-- Return the values of a field, or of one of its flags, as numbers.
+local function values_of(messages, field, flag)
+  local values = {}
+  for i, event in ipairs(messages) do
+    local number = field_kinds.number(field, event.raws[field.index])
+    if flag then number = band(number, flag.mask) == 0 and 0 or 1 end
+    values[i] = number == number and number or huge -- of a reserved value
+  end
+  return values
 end
 
--- Append the row of a change of a value, if there is one.
--- messages  of its source up to the fault
--- read      function(raw) -> the value, a number
--- find      function(values, step) -> index, usual value and spread
--- row       { title, words, flag }
-local function add_change(rows, card, messages, field, read, find, row)
-  local values, step = {}, field.min and (field.max - field.min) / field.ordinary
-  for i, event in ipairs(messages) do values[i] = read(event.raws[field.index]) end
-  local index, from, spread = find(values, step or field.scale or 0)
+-- Append the row of the change of a field, or of one of its flags, if there is one.
+-- messages  events of its source up to the fault
+-- find      function(values, field) -> index, usual value, and of a number the usual spread
+local function add_change(rows, card, messages, field, find, flag)
+  local values = values_of(messages, field, flag)
+  local index, from, spread = find(values, field)
+  if not index then return end
   local event, to = messages[index], values[index]
-  if not event then return end
-  if event.source ~= card.cause.source then
-    row.title = event.source.type.title .. " " .. row.title
-  end
-  row.event, row.message = event, event.source.type.name
-  row.field, row.unit = field.name, field.unit
-  row.from, row.to, row.at_fault = from, to, values[#values]
-  -- Not of a usual value that is about 0.
-  row.times = spread and abs(from) > FACTOR * spread and to / from or nil
-  -- Of the changes in one message, the largest comes first.
-  row.size = spread and to == to and abs(to - from) / spread or 0
-  row.what = change_text(row)
-  insert(rows, new_row(card, event, row))
+  insert(rows, new_row(card, event, {
+    event = event,
+    message = event.source.type.name,
+    field = field.name,
+    flag = flag and flag.name,
+    unit = field.unit,
+    from = from,
+    to = to,
+    times = spread and abs(from) > FACTOR * spread and to / from or nil, -- not beside 0
+    at_fault = values[#values],
+    -- Of the changes in one message, the largest comes first.
+    size = spread and abs(to - from) / spread or 0,
+  }))
 end
 
--- Add the changes of the values of a source before a fault.
-local function add_changes(rows, card, source)
-  local messages = card.messages[source]
-  local function add(...) add_change(rows, card, messages, ...) end
-  for _, field in ipairs(source.type.fields) do
-    local words = field.values or KINDS[field.kind].words
-    local function number_of(raw) return field_kinds.number(field, raw) end
+local function add_changes(rows, card, messages)
+  for _, field in ipairs(messages[1].source.type.fields) do
+    local is_code = field.values or KINDS[field.kind].words
     for _, flag in ipairs(field.flags or {}) do
-      local function bit_of(raw) return band(raw or 0, flag.mask) == 0 and 0 or 1 end
-      local title = field.title .. " " .. flag.name
-      if band(flag.mask, field.alarm_bits) == 0 then
-        add(field, bit_of, find_switch, { flag = flag.name, title = title, words = ON_OFF })
-      end
+      local is_fault = band(flag.mask, field.alarm_bits) ~= 0
+      if not is_fault then add_change(rows, card, messages, field, find_switch, flag) end
     end
-    if words or is_number(field) then
-      local find = words and find_switch or find_departure
-      add(field, number_of, find, { title = field.title, words = words })
-    end
+    if is_code then add_change(rows, card, messages, field, find_switch) end
+    if field_kinds.is_number(field) then add_change(rows, card, messages, field, find_departure) end
   end
 end
+
+-- Output ------------------------------------------------------------------------------------------
 
 -- Return whether two sources are of one controller: by their names, else by bus and last digit.
 local function is_same_controller(a, b)
   if a.name and b.name then return a.name == b.name end
   return a.bus_key == b.bus_key and a.id % 16 == b.id % 16
-end
-
--- Return the event of the latest Command before a fault: the controller's own, else its bus's.
-local function find_command(card)
-  local source, latest, found = card.cause.source, 0, nil
-  for sender, messages in pairs(card.messages) do
-    local event = messages[#messages]
-    local is_command = sender.bus_key == source.bus_key and sender.type.name == source.type.answers
-    local rank = is_same_controller(sender, source) and math.huge or event.frame
-    if is_command and rank > latest then latest, found = rank, event end
-  end
-  return found
 end
 
 local function message_row(card, event)
@@ -324,87 +264,104 @@ local function message_row(card, event)
     names[i] = field.name
     values[field.name] = not KINDS[field.kind].is_text and tonumber(text) or text
   end
-  local faults = text_of.faults(message_type, event.raws)
-  return new_row(card, event, output.row(event.source, {
-    faults = faults:match(".+"),
-    values = output.object(names, values),
-    what = (faults .. "  " .. message_type.info(event.raws)):match("^ *(.*)"),
-  }))
+  local text = text_of.faults(message_type, event.raws) .. "  " .. message_type.info(event.raws)
+  local row = output.row(event.source, {
+    values = { json = output.object(names, values).json, text = text:match("^ *(.*)") },
+  })
+  return new_row(card, event, row)
 end
 
--- Return the rows of the changes before a fault, in the order of time.
--- sources  of the controller and of its Command
-local function change_rows(card, sources)
-  local all, rows = {}, {}
-  for _, source in ipairs(sources) do add_changes(all, card, source) end
-  for _, row in ipairs(all) do
-    if card.cause.time - row.event.time <= USUAL then insert(rows, row) end
-  end
-  output.sort(rows, function(row) return row.event.time, -row.size end)
-  return rows
-end
-
-local function command_row(card, command, changes)
-  local row, note = message_row(card, command), "unchanged  "
-  for _, change in ipairs(changes) do
-    if change.event.source == command.source then note = "" end
-  end
-  row.what = note .. row.what
-  return row
-end
-
-local function flag_rows(card)
-  local rows = {}
-  for i, event in ipairs(card.flags) do
-    local values = event.values
-    rows[i] = new_row(card, event,
-      { field = values.field, flag = values.flag, help = values.help })
-  end
-  return rows
-end
-
-local function event_rows(self, card, ending)
-  local rows = {}
-  for _, event in ipairs(card.near) do
-    if is_near(card, event) and event.values.incident ~= card.incident then
-      insert(rows, new_row(card, event, lists.event_row(self.context, event, ending)))
+-- Return the messages of the ten seconds before a fault: a list for each source.
+local function messages_before(card)
+  local all = {}
+  local by_source = memo(function() return {} end, all)
+  for _, event in ipairs(card.events) do
+    local is_before = event.raws and event.frame <= card.cause.frame
+    if is_before and card.cause.time - event.time <= USUAL then
+      insert(by_source[event.source], event)
     end
   end
-  return rows
+  return all
+end
+
+-- Return the messages of the latest Command before a fault: the controller's own, else its bus's.
+local function find_command(source, all)
+  local best, found = 0, nil
+  for _, messages in ipairs(all) do
+    local latest = messages[#messages]
+    local other = latest.source
+    local is_command = other.bus_key == source.bus_key and other.type.name == source.type.answers
+    local rank = is_command and is_same_controller(other, source) and huge or latest.frame
+    if is_command and rank > best then best, found = rank, messages end
+  end
+  return found
+end
+
+-- Add the rows about the sources before a fault.
+local function add_sources(rows, card)
+  local source, all = card.cause.source, messages_before(card)
+  local command = find_command(source, all)
+  for _, messages in ipairs(all) do
+    local latest = messages[#messages]
+    if messages == command or is_same_controller(latest.source, source) then
+      local count = #rows.changes
+      add_changes(rows.changes, card, messages)
+      if messages == command then
+        local row = message_row(card, latest)
+        if #rows.changes == count then row.values.text = "unchanged  " .. row.values.text end
+        insert(rows.command, row)
+      end
+    elseif latest.source.type == source.type then
+      insert(rows.others, message_row(card, latest))
+    end
+  end
+  output.sort(rows.changes, function(row) return row.event.time, -row.size end)
 end
 
 -- Return the rows of the sections, by key.
 local function find_rows(self, card, ending)
-  local command, own, others, around = find_command(card), {}, {}, {}
-  local cause = card.cause
-  for _, source in ipairs(self.sources) do
-    local messages = card.messages[source]
-    local event = messages and messages[#messages]
-    if event and (event == command or is_same_controller(source, cause.source)) then
-      insert(own, source)
-    elseif event and source.type == cause.source.type then
-      insert(others, message_row(card, event))
+  local rows = {}
+  for _, section in ipairs(SECTIONS) do rows[section[1]] = {} end
+  add_sources(rows, card)
+  for i, event in ipairs(card.flags) do
+    local values = event.values
+    local row = { field = values.field, flag = values.flag, help = values.help }
+    rows.flags[i] = new_row(card, event, row)
+  end
+  for _, event in ipairs(card.events) do
+    if event.raws and event.source == card.cause.source then
+      insert(rows.messages, message_row(card, event))
+    elseif not event.raws and is_near(card, event) and event.values.incident ~= card.incident then
+      insert(rows.events, new_row(card, event, lists.event_row(self.context, event, ending)))
     end
   end
-  local changes = change_rows(card, own)
-  local messages = joined(card.messages[cause.source], card.behind)
-  for i = math.max(1, #messages - #card.behind - BEFORE), #messages do
-    insert(around, message_row(card, messages[i]))
+  while #rows.messages > BEFORE + 1 + card.behind do table.remove(rows.messages, 1) end
+  return rows
+end
+
+-- Return the row of a card.
+local function card_row(self, card, rows, lacks_times)
+  local cause = card.cause
+  local row = output.row(cause.source, {
+    incident = card.number,
+    incidents = self.count,
+    time = self.context.dates:value(cause.time),
+    rel = output.seconds(cause.time),
+    active = not lacks_times and new_row(card, card.last, {}).since or nil,
+    frame = cause.frame,
+  })
+  for _, section in ipairs(SECTIONS) do
+    local objects = {}
+    for i, one in ipairs(rows[section[1]]) do
+      objects[i] = output.object(one.keys or section.columns.json, one)
+    end
+    row[section[1]] = output.list(objects)
   end
-  return {
-    flags = flag_rows(card),
-    changes = changes,
-    command = { command and command_row(card, command, changes) },
-    others = others,
-    events = event_rows(self, card, ending),
-    messages = around,
-  }
+  return row
 end
 
 -- Print the sections of a card for people.
-local function print_sections(context, row, rows)
-  local shape = "\n%s, frame %d%s\n%s UTC, %s s after the start\n"
-  context.out(shape:format(row.who, row.frame, row.duration, row.time.text, row.rel.short))
+local function print_sections(context, rows)
   for _, section in ipairs(SECTIONS) do
     local list = rows[section[1]]
     context.out(("\n%s%s\n"):format(section[2], list[1] and ":" or ": none"))
@@ -412,48 +369,20 @@ local function print_sections(context, row, rows)
   end
 end
 
--- Return the row of a card, with its sections in JSON.
-local function card_row(self, card, rows, lacks_times)
-  local cause = card.cause
-  local active = not lacks_times and new_row(card, card.last, {}).since or nil
-  local shape = card.open > 0 and ", still set after %s s" or ", for %s s"
-  local row = {
-    incident = card.number,
-    time = self.context.dates:value(cause.time),
-    rel = output.seconds(cause.time),
-    frame = cause.frame,
-    active = active,
-    duration = active and shape:format(active.text) or "",
-  }
-  for _, section in ipairs(SECTIONS) do
-    local objects = {}
-    for i, one in ipairs(rows[section[1]]) do
-      objects[i] = output.object(section.keys or one.keys, one)
-    end
-    row[section[1]] = output.list(objects)
-  end
-  return output.row(cause.source, row)
-end
-
 --- End, see stat.answer.
 function Fault:finish(ending, notes)
-  local context, card, row, rows = self.context, self.card, {}, {}
-  local code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
-  local count = lists.count_text(self.count, ending)
-  local title = "YAPP fault: " .. count
+  local context, card, rows, row = self.context, self.card, nil, { incidents = self.count }
+  local title = "YAPP fault: " .. lists.count_text(self.count, ending)
   if card then
     rows = find_rows(self, card, ending)
-    local names = {}
-    for i, flag in ipairs(rows.flags) do names[i] = flag.flag end
     row = card_row(self, card, rows, ending.lacks_times)
-    title = ("YAPP fault: %s (%d of %s)"):format(table.concat(names, ", "), card.number, count)
+    title = title:gsub(":", (": %d of"):format(card.number))
   end
-  row.incidents = self.count
-  output.print(context, title, M.COLUMNS, context.json and { row } or {}, notes)
-  if card and not context.json then print_sections(context, row, rows) end
+  output.print(context, title, M.COLUMNS, (card or context.json) and { row } or {}, notes)
+  if card and not context.json then print_sections(context, rows) end
+  local code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
   if card or not self.is_chosen then return code end
-  local missing = self.at and NO_FAULT:format(self.at) or NO_NUMBER:format(self.number)
-  return output.EXIT_UNDECIDED, missing
+  return output.EXIT_UNDECIDED, MISSING:format(self.count)
 end
 
 return M
