@@ -1154,6 +1154,7 @@ function T.test_messages_that_are_not_dissected()
     "see yapp.motor_ids, yapp.all_extended" })
   lu.assertStrContains(lines(printed)[3], "1 message was not decoded")
   lu.assertStrContains(run({ "faults" }, { records[2] }), "no YAPP message found in 1 packet: see yapp.user_dlt")
+  lu.assertStrContains(run({ "faults" }, { records[2] }), "docs/streams.md, docs/files.md")
 end
 
 function T.test_nothing_to_judge_by()

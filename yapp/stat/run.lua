@@ -18,7 +18,7 @@ local M = {}
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
 local SEARCH_PREFERENCES = "yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first, " ..
   "-d tcp.port==PORT,yapp_serial, -d rtacser.data,yapp_serial, " ..
-  "in Wireshark also yapp.search_all" -- tshark searches all
+  "in Wireshark also yapp.search_all, and docs/streams.md, docs/files.md" -- tshark searches all
 local NO_TIMES = "packets of this capture have no time stamps"
 -- As candump -H writes them for an adapter that has no clock.
 local EQUAL_TIMES = "all packets of this capture have the same time stamp"
