@@ -163,7 +163,7 @@ def test_it_ends_the_run(tmp_path, option, at):
 def test_ctrl_c():
     source = bench(30)
     running = subprocess.Popen(command(), stdin=source.stdout, stdout=subprocess.PIPE, text=True, env=environment())
-    time.sleep(4)
+    assert "sources" in running.stdout.readline()
     running.send_signal(signal.SIGINT)
     out, _ = running.communicate(timeout=20)
     source.kill()
