@@ -213,7 +213,9 @@ def of_flags(ident, messages):
             old = before.get(field, now & ~model.MESSAGES[ident].alarms.get(field, 0))  # in a first message faults are raised
             before[field] = now
             unknown = now & ~sum(bits)
-            texts = [name for bit, name in bits.items() if now & bit] + [f"undefined {unknown:#x}"] * bool(unknown)
+            alarms = model.MESSAGES[ident].alarms.get(field, 0)
+            first = sorted(bits, key=lambda bit, alarms=alarms: not bit & alarms)  # faults stand in front
+            texts = [bits[bit] for bit in first if now & bit] + [f"undefined {unknown:#x}"] * bool(unknown)
             row[f"{top}{field}.names"] = ", ".join(texts)
             of_group = {"undefined": unknown, "raised": now & ~old, "cleared": old & ~now}
             width = {"undefined": 8, "raised": 2 * size, "cleared": 2 * size}
