@@ -198,7 +198,7 @@ local function watch_unclaimed()
   headers:start()
   register_heuristic("can", all, function(tvb, pinfo, root)
     if settings.accepts_all then return frames:dissect_any(tvb, pinfo, root) > 0 end
-    frames:count_unclaimed(tvb, pinfo)
+    frames:remember(tvb, pinfo)
     return false
   end)
 end

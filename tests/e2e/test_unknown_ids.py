@@ -63,3 +63,11 @@ def test_behind_the_first_64_ids_a_long_gap_is_said(tmp_path):
     path = write(tmp_path / "unknown.pcap", [(ids[0], seq) for seq in range(4)] + [(ident, 0) for ident in ids[1:]] +
                  [(ids[0], seq) for seq in late])
     assert shown(path) == [(ids[0], seq) for seq in range(4)] + [(ident, 0) for ident in ids[1:]] + [(ids[0], seq) for seq in late]
+
+
+@pytest.mark.parametrize("passes", [(), ("-2",)])
+def test_a_frame_that_another_dissector_takes(passes):
+    """A Command of 8 bytes is AUTOSAR's to a heuristic of Wireshark's; with Decode As it is YAPP's, and counts once."""
+    path = tshark.CAPTURES / "can/wrong_size.pcap"
+    for options, size in ([], "31 bytes, Motor Data has 32); 0x0 (8 bytes, Command has 7)"), (["-d", "can.subdissector,yapp_all"], "1 message was decoded in part: 0x0 (8"):
+        assert size in tshark.run(*passes, *options, "-r", path, "-q", "-z", "yapp,faults", check=False).stdout

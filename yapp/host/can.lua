@@ -45,7 +45,7 @@ function Dissector:reset()
   -- True if the bus of a frame has to be asked for.
   self.bus_is_per_packet = self.buses.bus_is_per_packet
   self.newest_key = 0 -- of the frames that were read: one above it is new
-  self.unclaimed, self.newest_unclaimed = 0, 0 -- see Dissector:count_unclaimed
+  self:begin_count()
   self.frame = records.new_can_frame()
   self.asked = false -- the answer of Wants:ask that the frame has
 end
@@ -113,15 +113,19 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
   end
   if ZEROS[data] and is_remote(self, frame, pinfo) then return 0 end
   local result = read(self, frame)
-  if not result then return 0 end
+  if not result then
+    self:remember(tvb, pinfo, id)
+    return 0
+  end
   if wants.shows or not result.is_usual then self.view:show(result, wants, tvb, pinfo, tree) end
   return reported
 end
 
---- Count a frame that no dissector accepted, once, if it is an extended data frame, and report it:
--- it may be a message.
-function Dissector:count_unclaimed(tvb, pinfo)
-  local id = length_of(tvb) > 0 and self.headers:find_id(pinfo)
+--- Remember an extended data frame that is not YAPP's, so far: a tap of its packet counts it.
+-- id  29-bit CAN id, nil if it is not known
+function Dissector:remember(tvb, pinfo, id)
+  if not self.reading.listener or length_of(tvb) == 0 then return end
+  id = id or self.headers:find_id(pinfo)
   if not id then return end
   local frame = records.new_can_frame()
   frame.number, frame.time, frame.visited = pinfo.number, pinfo.rel_ts, pinfo.visited
@@ -129,9 +133,21 @@ function Dissector:count_unclaimed(tvb, pinfo)
   frame.can_id = fields_of[id]
   frame.seq, frame.data, frame.reported = frame.can_id.seq, raw_of(tvb), reported_of(tvb)
   if self.bus_is_per_packet then find_bus(self, frame, pinfo) end
-  if frame.key > self.newest_unclaimed then
-    self.newest_unclaimed, self.unclaimed = frame.key, self.unclaimed + 1
-  end
+  self.refused = frame
+end
+
+--- Begin to count frames that are not YAPP's.
+function Dissector:begin_count()
+  self.refused, self.refused_count = false, 0
+end
+
+--- Count the frame that was refused, if it is of this packet, and report it: it may be a message.
+-- A tap of all packets calls this while `refused` is set.
+function Dissector:count_refused(number)
+  local frame = self.refused
+  self.refused = false
+  if frame.number ~= number then return end
+  self.refused_count = self.refused_count + 1
   self.reading:report_undissected(frame)
 end
 
@@ -151,7 +167,11 @@ end
 -- returns  the number of bytes that are ours, 0 for no extended data frame
 function Dissector:dissect_any(tvb, pinfo, tree)
   local id, is_unknown = self.headers:find_id(pinfo)
-  if id then return self:dissect(tvb, pinfo, tree, id, true) end
+  if id then
+    local length = self:dissect(tvb, pinfo, tree, id, true)
+    if length > 0 then self.refused = false end -- by the table of ids
+    return length
+  end
   local reported = reported_of(tvb)
   if not is_unknown or reported == 0 then return 0 end
   self.headers:start() -- from the next frame on the id is known

@@ -99,7 +99,7 @@ end
 -- The tap that sees every packet.
 local function tap_packets(self)
   local tap, is_waiting = add_tap(self), IS_TSHARK
-  local calls, buses, headers, asker = self.calls, self.buses, self.headers, self.wants
+  local calls, buses, frames, asker = self.calls, self.buses, self.frames, self.wants
   local function has_clock() return select(2, buses:has_times()) end
 
   -- Every packet comes here, so nothing else is called that need not be.
@@ -107,13 +107,14 @@ local function tap_packets(self)
     -- Packets that come while Wireshark revisits those of a live capture are revisited, too.
     if not IS_TSHARK and pinfo.number ~= self.current.packets + 1 then return end
     calls.begun = calls.begun + 1
+    if frames.refused then frames:count_refused(pinfo.number) end
     local wants = is_waiting and asker.first_pass -- known once a packet has YAPP
     if wants then
       is_waiting = false
       -- A tap that is called before the last packet is dissected is so in tshark's only pass.
-      if not self.frames:is_second_pass(pinfo.number) then
+      if not frames:is_second_pass(pinfo.number) then
         asker:set_only_pass()
-        headers:stop() -- see tap_bus_errors
+        self.headers:stop() -- see tap_bus_errors
       end
     end
     if self.current.packets == 0 then
@@ -129,6 +130,7 @@ local function tap_packets(self)
   function tap.reset()
     if not IS_TSHARK and self.current.packets > 0 then return end
     self.current:reset()
+    self.frames:begin_count()
   end
 end
 
@@ -176,6 +178,7 @@ local function open(self)
   self.command = command.options()
   self.current, self.taps = run_of.new(self.settings, self.buses.stamps, hint_of(self.command)), {}
   self.reading:listen(self.current)
+  self.frames:begin_count()
   self.watch()
   tap_packets(self)
   tap_bus_errors(self)
@@ -225,7 +228,7 @@ local function finish(self)
     results = reading:finish(MAY_GO_ON),
     drops = joined(buses:drops(), reading:drops(), { refused and drop }),
     lacks_times = not buses:has_times(),
-    extended = self.frames.unclaimed,
+    extended = self.frames.refused_count,
     problems = joined({ failed }, { unread }, { reloaded }, { refused },
       { explain_undecoded(self) }),
     unread = unread and "not all packets were read",
