@@ -377,15 +377,16 @@ def test_limits_over_another_field():
     """y is x squared, and a bit more or less in each flight: limits lie beyond that, and hold at each point."""
     rng, found = random.Random(3), []
     for number in range(10):
-        x = [rng.uniform(10, 20) for _ in range(300)]
+        x = [15 + 5 * math.sin(at / 40 + rng.random()) for at in range(600)]
         found.append(samples_of(f"f{number}", x, [at**2 * (1 + 0.01 * (number - 5) / 5) for at in x]))
     (finding,) = loads._over("left", "m", found, ("y", "x"), (10, 0.1))
     assert (finding.source, finding.what, len(finding.found)) == ("left", "m.y.over(x)", 10)
     low, high = (fold(end for row in finding.found for end in row[:2]) for fold in (min, max))
     text = finding.write(str(low), str(high))
     assert text.startswith("m.y.over(x)=")
-    assert text.endswith(" for=1")
-    points = [re.fullmatch(r"(.*):(.*)\.\.(.*)", part).groups() for part in text[12:-6].split(";")]
+    assert " when=x=" in text
+    assert text.endswith(" after=1 for=1")
+    points = [re.fullmatch(r"(.*):(.*)\.\.(.*)", part).groups() for part in text[12:].partition(" ")[0].split(";")]
     assert len(points) == loads.POINTS
     for at, bottom, top in (map(float, point) for point in points):
         assert at**2 * 0.9 < bottom < at**2 < top < at**2 * 1.1

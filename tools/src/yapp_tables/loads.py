@@ -24,6 +24,8 @@ LEAST_SAMPLES = 20  # of a point, of all flights
 LEAST_FLIGHTS = 3  # that have it
 LEAST_SHARE = 0.02  # of the range of the values, that they scatter at a point
 RUNNING = 0.1  # of the highest speed
+USUAL = (0.1, 0.98)  # quantiles of a flight without its spin-up and its landing
+AFTER = 1.0  # seconds within the points, from which on a value is judged
 LONG, SHORT = 10, 4  # periods: a state lasts longer, a step of the command is over
 RARE = 0.02  # of the samples: a condition that each flight meets
 LEAST_HELD = 6  # samples of each flight
@@ -72,17 +74,35 @@ def read(folder: Path, flight: str, fields: Record) -> Iterator[tuple[str, str, 
             yield message, own["source"][0].as_py() or "", Samples(flight, times, values, words)
 
 
-def held(samples: Samples, values: Array, length: int, every: float) -> tuple[float, float] | None:
-    """Return the highest and the lowest value that lasted for so many periods; None for no values."""
+def held(
+    samples: Samples, values: Array, length: int, every: float, breaks: Array | None = None
+) -> tuple[float, float] | None:
+    """Return the highest and the lowest value that lasted for so many periods; None for no values.
+
+    breaks: true where the condition of a rule does not hold.
+    """
     good = np.isfinite(values)
     times, kept = samples.times[good], values[good]
-    late = np.diff(samples.times, prepend=samples.times[:1]) > LATE * every  # a gap breaks it
-    part = np.cumsum(late)[good]
+    part = _parts(samples, every, breaks)[good]
     ends = np.searchsorted(times, times + length * every - 1e-6)
     windows = [kept[begin : end + 1] for begin, end in enumerate(ends) if end < len(kept) and part[begin] == part[end]]
     if not windows:
         return None
     return float(max(window.min() for window in windows)), float(min(window.max() for window in windows))
+
+
+def _parts(samples: Samples, every: float, breaks: Array | None) -> Array:
+    """Return of each sample how many gaps, and samples without the condition, came up to it."""
+    late = np.diff(samples.times, prepend=samples.times[:1]) > LATE * every
+    return np.asarray(np.cumsum(late if breaks is None else late | breaks))
+
+
+def _settled(samples: Samples, every: float, breaks: Array) -> Array:
+    """Return where the condition of a rule has held for so long that the rule judges."""
+    part = _parts(samples, every, breaks)
+    starts = dict(reversed(list(zip(part[~breaks], samples.times[~breaks], strict=True))))
+    since = np.array([starts.get(number, np.inf) for number in part])
+    return np.asarray(~breaks & (samples.times - since >= AFTER - 1e-6))
 
 
 class Field:
@@ -135,11 +155,16 @@ def _hold(length: int, every: float) -> str:
     return f" for={length * every:.3g}" if length else ""
 
 
-def _ends(found: Sequence[Samples], values_of: Callable[[Samples], Array], hold: tuple[int, float]) -> list[Extreme]:
+def _ends(
+    found: Sequence[Samples],
+    values_of: Callable[[Samples], Array],
+    hold: tuple[int, float],
+    breaks_of: Callable[[Samples], Array] | None = None,
+) -> list[Extreme]:
     """Return what lasted in each flight, on either side: the gate counts a row of values outside, wherever they lie."""
     ends = []
     for samples in found:
-        extremes = held(samples, np.abs(values_of(samples)), *hold)
+        extremes = held(samples, np.abs(values_of(samples)), *hold, breaks_of(samples) if breaks_of else None)
         if extremes:
             top = Decimal(extremes[0])
             ends.append((-top, top, samples.flight))
@@ -172,19 +197,26 @@ def _over(
     if len(points) < 2:
         return
 
+    low_end, high_end = float(f"{points[0]:.4g}"), float(f"{points[-1]:.4g}")
+    suffix = f" when={other}={low_end:.4g}..{high_end:.4g} after={AFTER:g}" if hold[0] else ""
+
+    def breaks(samples: Samples) -> Array:
+        x = samples.values[other]
+        return np.asarray((x < low_end) | (x > high_end))
+
     def away(samples: Samples) -> Array:
         x, y = samples.values[other], samples.values[value]
-        inside = (x >= points[0]) & (x <= points[-1])
-        return np.where(inside, (y - np.interp(x, points, centres)) / np.interp(x, points, scatter), np.nan)
+        judged = _settled(samples, hold[1], breaks(samples)) if hold[0] else ~breaks(samples)
+        return np.where(judged, (y - np.interp(x, points, centres)) / np.interp(x, points, scatter), np.nan)
 
     def write(low: str, high: str) -> str:
         limits = ";".join(
             f"{x:.4g}:{centre + float(low) * size:.4g}..{centre + float(high) * size:.4g}"
             for x, centre, size in zip(points, centres, scatter, strict=True)
         )
-        return f"{message}.{value}.over({other})={limits}{_hold(*hold)}"
+        return f"{message}.{value}.over({other})={limits}{suffix}{_hold(*hold)}"
 
-    yield Finding(source, f"{message}.{value}.over({other})", _ends(found, away, hold), write)
+    yield Finding(source, f"{message}.{value}.over({other})", _ends(found, away, hold, breaks), write)
 
 
 def _running(samples: Samples, value: str, other: str) -> tuple[Array, Array]:
@@ -197,7 +229,7 @@ def _running(samples: Samples, value: str, other: str) -> tuple[Array, Array]:
 def _curve(pairs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
     """Return points, centres and scatters of values over another field: where enough flights have enough samples."""
     every_x, every_y = (np.concatenate(list(each)) for each in zip(*pairs, strict=True))
-    low, high = np.quantile(every_x, [0.02, 0.98])
+    low, high = np.quantile(every_x, USUAL)
     grid = np.linspace(low, high, POINTS)
     width = (grid[1] - grid[0]) / 2
     floor = LEAST_SHARE * float(np.quantile(every_y, 0.98) - np.quantile(every_y, 0.02))
