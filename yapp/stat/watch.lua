@@ -64,7 +64,7 @@ function M.new(options, context)
     buses = buses.new(options, context),
     check = options.rules[1] and check.new(options, context),
     raised = {}, -- by source: event of the latest fault that was raised
-    before = {}, -- by source: { count, time = of the latest message } at the latest tick
+    before = {}, -- by source: { count, at = of the latest message } at the latest tick
     must_stop = false, -- true if the next packet ends the run
     code = nil, -- the exit code, if `stop` ended it
     is_over = false, -- true if it ends
@@ -98,9 +98,9 @@ end
 local function rate_of(self, group)
   local last = group.last
   local before = self.before[group.source]
-  self.before[group.source] = { count = group.count, time = last.time }
+  self.before[group.source] = { count = group.count, at = last.at }
   if not before then return groups.rate(group) end
-  local count, length = group.count - before.count, kinds.span(before.time, last.time)
+  local count, length = group.count - before.count, kinds.span(before.at, last.at)
   return length > 0 and count / length or 0
 end
 
