@@ -240,8 +240,10 @@ def test_an_incident_unfolds_and_its_rows_are_buttons(example_browser):
     before = incidents_of(example_browser)
     (first,) = [row for row in before if row["fault"]]
     assert first["cells"][0] == "Motor overcurrent, Faulted, silence, reboot"
-    parts = [row["cells"][0] for row in before if row["part"]]
-    assert parts == ["Motor overcurrent", "Faulted", "silence", "reboot", "reboot"]
+    card, *parts = [row["cells"] for row in before if row["part"]]
+    assert [cells[0] for cells in parts] == ["Motor overcurrent", "Faulted", "silence", "reboot", "reboot"]
+    # Its card: 17.84 A became 26.34 A four tenths of a second before.
+    assert re.search(r"-0\.400 s\s*DC Current\s*17\.84 → 26\.34 A", card[0]), card
     shown = "return [...document.querySelectorAll('tr.part')].map(row => row.offsetHeight > 0)"
     assert not any(example_browser.execute_script(shown))
     unfold = example_browser.find_element(By.CSS_SELECTOR, "#incidents [aria-expanded]")
@@ -249,7 +251,7 @@ def test_an_incident_unfolds_and_its_rows_are_buttons(example_browser):
     assert all(example_browser.execute_script(shown))
     assert unfold.get_attribute("aria-expanded") == "true"
     example_browser.execute_script("arguments[0].click()", unfold)
-    leads = "return [...document.querySelectorAll('#incidents tbody tr')].every(row => row.cells[0].querySelector('button'))"
+    leads = "return [...document.querySelectorAll('#incidents tbody tr:not(:has(.card))')].every(row => row.cells[0].querySelector('button'))"
     assert example_browser.execute_script(leads)
 
 
