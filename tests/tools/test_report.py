@@ -251,7 +251,7 @@ def test_an_incident_unfolds_and_its_rows_are_buttons(example_browser):
     assert all(example_browser.execute_script(shown))
     assert unfold.get_attribute("aria-expanded") == "true"
     example_browser.execute_script("arguments[0].click()", unfold)
-    leads = "return [...document.querySelectorAll('#incidents tbody tr:not(:has(.card))')].every(row => row.cells[0].querySelector('button'))"
+    leads = "return [...document.querySelectorAll('#incidents > tbody > tr:not(:has(.card))')].every(row => row.cells[0].querySelector('button'))"
     assert example_browser.execute_script(leads)
 
 
