@@ -6,8 +6,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "src"))  # that of this tree, installed or not
 from yapp_tables import Tshark
+from yapp_tables.matrix import DEGREES
 from yapp_tables.records import TABLES, column, columns_of
-from yapp_tables.runs import DEGREES
 from yapp_tables.tables import ABOUT_HEAD, DURATION, KIND, SCHEMA, TIME, messages
 
 NAMES = {TIME: "time", DURATION: "duration", KIND: "text"}
