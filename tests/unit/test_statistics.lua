@@ -790,7 +790,7 @@ function T.test_spread()
   local printed = { verdicts("motor.volts.spread=2,motor.volts.spread=1", records) }
   lu.assertEquals(printed, { { "motor.volts.spread=2 null true 2 2", "motor.volts.spread=1 null false 2 2",
     "unknown=0 null true 0 null" }, 20, {} })
-  records[5].time = 0.35 -- just as old as a value may be
+  records[5].time, records[5].at = 0.35, 0.35 -- just as old as a value may be
   lu.assertEquals(verdicts("motor.volts.spread=2", records)[1], "motor.volts.spread=2 null false 188 5")
   lu.assertEquals(select(2, verdicts("motor.volts.spread=2", { record(1, 0), record(2, 1) })), 21)
   lu.assertEquals(lines((run({ "compare,json" }, records)))[1], '{"message":"motor","field":"volts","unit":"V",' ..
@@ -1104,7 +1104,7 @@ end
 
 function T.test_sizes_that_no_preference_decodes()
   local short = record(2, 0, { payload = payload(10):sub(1, 9), fits = false })
-  short.time = 2
+  short.time, short.at = 2, 2
   lu.assertEquals(said({ unknown(1, "", 0x300, 20), short }), { "YAPP faults: 0",
     "2 messages were not decoded: 0x300 (20 bytes, the size of no known message); can0 0x210 (9 bytes, Motor Data has 11)" })
   local twin = { name = "twin", title = "Twin", id = 0x400, size = 15, { "text", "string", "Text", length = 15 } }

@@ -78,7 +78,7 @@ local function deliver_waiting(self, is_end)
   if stamps.gap and not is_end then return end
   for i = 1, #waiting do
     local event = waiting[i]
-    event.at = stamps:even(event.time)
+    if stamps.sets[1] then event.at = stamps:even(event.time) end
     self.events:add(event)
     waiting[i] = nil
   end
