@@ -9,7 +9,8 @@ Addresses.__index = Addresses
 
 --- Make the addresses of a capture.
 function M.new()
-  return setmetatable({ by_name = {} }, Addresses) -- lists of { address, text = as a number }
+  -- Lists of { address, text = as a number }; false for a name of another kind.
+  return setmetatable({ by_name = {} }, Addresses)
 end
 
 local function ipv4_text(groups)
@@ -56,15 +57,16 @@ end
 function Addresses:text(address)
   local name = tostring(address)
   if name == "" or name:find("^[%d.]+$") or name:find(":", 1, true) then return name end
-  local list = self.by_name[name] or {}
-  self.by_name[name] = list
-  for _, known in ipairs(list) do
+  local list = self.by_name[name]
+  if list == false then return name end -- of another kind, as those of a serial line
+  for _, known in ipairs(list or {}) do
     if known.address == address then return known.text end
   end
   local text, own = find_number(address, Address.ip, ipv4_text, 4, 128)
   if not text then text, own = find_number(address, Address.ipv6, ipv6_text, 8, 32768) end
+  self.by_name[name] = text and (list or {}) or false
   if not text then return name end
-  list[#list + 1] = { address = own, text = text }
+  table.insert(self.by_name[name], { address = own, text = text })
   return text
 end
 
