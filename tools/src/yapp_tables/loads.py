@@ -27,8 +27,8 @@ RUNNING = 0.1  # of the highest speed
 USUAL = (0.1, 0.98)  # quantiles of a flight without its spin-up and its landing
 AFTER = 1.0  # seconds within the points, from which on a value is judged
 LONG, SHORT = 10, 4  # periods: a state lasts longer, a step of the command is over
-RARE = 0.02  # of the samples: a condition that each flight meets
-LEAST_HELD = 6  # samples of each flight
+RARE = 0.05  # of the samples: a condition that each flight meets
+LEAST_HELD = 12  # samples of each flight
 
 
 @dataclass
