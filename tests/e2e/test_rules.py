@@ -221,7 +221,10 @@ def test_random_rules(folder, seed):
             digits = 0.1 if "rpm" in rule.field else 0.002  # people see so many
             assert row["margin"] == pytest.approx(least, abs=digits), (rule, row)
             assert row["frame"] in [frame for margin, frame in named if margin <= least + digits], (rule, row)
-    assert kinds == {True, False, None}
+            was_outside = ok and abs(least) > digits and least < 0
+            assert not was_outside or row["note"].endswith("outside, but not for so long"), (rule, row)
+            kinds.add("outside" if was_outside else ok)
+    assert kinds == {True, False, None, "outside"}
 
 
 def test_means_shares_and_spreads_under_a_condition(folder):

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- What is known of the packets of a capture: the bus of each, whether their times are real, and how
--- many were lost.  Nobody else looks for that.  Wireshark's API.
+-- many were lost.  No other module looks for that.  Wireshark's API.
 --
 -- The file tells it (capture.file), or the reader of ours that reads the file.  In a live capture,
 -- and in a pipe behind its first bytes, fields of the packet tell its bus: a tap makes Wireshark

@@ -162,7 +162,7 @@ local NO_DATE = "no such date: times count from the date before, or from 0. Corr
 local function date_in(log, line, pattern)
   local written = line:match(pattern)
   local date = written and parse_date(written)
-  if written and not date then log:tell(line, NO_DATE) end
+  if written and not date then log:quote(line, NO_DATE) end
   return date
 end
 

@@ -253,7 +253,7 @@ local NO_BUS = { [""] = true, any = true }
 local function note(log, line, record, offset)
   local count, bus = line:match("^DROPCOUNT: dropped (%d+)[^']*'?([^',]*)")
   if count then
-    log:tell(line, "candump lost frames")
+    log:quote(line, "candump lost frames")
     log.drops[#log.drops + 1] = {
       count = math.min(tonumber(count), MAX_DROPPED),
       bus = not NO_BUS[bus] and utf8.printable(bus) or nil,

@@ -205,7 +205,7 @@ end
 --- Report a line, at once and in the packet list at the next frame.  Of each reason only the first
 -- lines are reported.
 -- why  text
-function Log:tell(line, why)
+function Log:quote(line, why)
   local count = (self.reported[why] or 0) + 1
   self.reported[why] = count
   if count > MAX_REPORTED then return end
@@ -221,7 +221,7 @@ end
 local function lose(self, line)
   local kind = M.has_one_of(line, self.like) and "lost" or "doubtful"
   self[kind] = self[kind] + 1
-  self:tell(line, UNKNOWN)
+  self:quote(line, UNKNOWN)
 end
 
 -- Set the frame behind the latest drops, and its time; none at the end of the file.

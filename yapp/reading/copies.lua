@@ -4,7 +4,7 @@
 --
 -- A copy has the bytes of an earlier message of its source, and comes less than 20 ms and less than
 -- half a period after it: a controller that hangs repeats its bytes after a whole period.  It is in
--- another packet: nobody records a part of one twice.  A sender may repeat a message without a
+-- another packet: no recorder writes a part of one twice.  A sender may repeat a message without a
 -- clock, as a Command: that is a copy only where messages with a clock are recorded twice, too.
 
 local number_of = require("yapp.base.frame_key").number

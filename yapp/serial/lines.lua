@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The lines of a capture: a line is one direction of a conversation, of a UART or of a USB adapter.
--- And their sources: a controller in UDP or TCP is its address, whoever talks with it.  Pure Lua.
+-- And their sources: a controller in UDP or TCP is its address, with any partner.  Pure Lua.
 
 local memo = require "yapp.base.memo"
 

@@ -64,6 +64,7 @@ M.FAILED = FAILED
 
 local NONE = "no message came that this rule applies to"
 local CLOSE = 5 -- percent of the range: what held by less is marked
+local BRIEF = "outside, but not for so long" -- of a rule with for=
 
 local Check = groups.class { lists_problems = true }
 
@@ -139,6 +140,12 @@ local function add_row(self, row)
   table.insert(self.rows, row)
 end
 
+-- Note that a rule hardly held.
+local function mark(row)
+  local note = row.percent < 0 and BRIEF or "close to its limit"
+  row.note = row.note and row.note .. ", " .. note or note
+end
+
 -- Set the margin of a row whose rule was judged: of numbers, not of counts and codes.
 -- found  of a measure
 local function set_margin(row, rule, found)
@@ -150,9 +157,7 @@ local function set_margin(row, rule, found)
   row.margin = tonumber(("%.12g"):format(margin))
   if range == 0 or range == math.huge then return end
   row.percent = tonumber(("%.3g"):format(margin / range * 100))
-  if row.ok == OK and row.percent < CLOSE then
-    row.note = (row.note and row.note .. ", " or "") .. "close to its limit"
-  end
+  if row.ok == OK and row.percent < CLOSE then mark(row) end
 end
 
 -- Return whether no later packet can mend a rule that failed.

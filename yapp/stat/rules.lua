@@ -4,7 +4,7 @@
 --
 -- A rule is {
 --   text     as the user wrote it; limit = its part behind the first =
---   source   name of the source that it is about, nil for all
+--   source   name of the only source that it judges, nil for all
 --   kind     a row of stat.kinds, or of the measures below
 --   low, high  the limits of what its measure returns
 --   message, field  compiled, nil for a rule about none
@@ -401,7 +401,7 @@ local function without_blanks(text)
 end
 
 --- Read a rule: "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55 when=status.enabled for=1".
--- source   name that it is about, or nil
+-- source   name of the only source that it judges, or nil
 -- options  the words that are no rules, for an error
 function M.parse(text, catalogue, source, options)
   text = without_blanks(text)
