@@ -88,7 +88,8 @@ def window(wireshark, title, path, size):
 
 
 def events(wireshark, folder):
-    wireshark.press("alt+t", "Up", "Right", *["Down"] * 3, "Return",  # Tools, YAPP, Events
+    menu = re.findall(r'"(\w+)"', (gui.ROOT / "yapp/stat/names.lua").read_text())
+    wireshark.press("alt+t", "Up", "Right", *["Down"] * (menu.index("events") + 1), "Return",  # Tools, YAPP, Events
                     until=lambda: any("YAPP Events" in title for title in wireshark.windows().values()))
     window(wireshark, "YAPP Events", folder / "fault_events.png", (760, 440))
 
