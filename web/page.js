@@ -240,7 +240,7 @@ async function begin() {
   await followLink();
   for (const argument of state.about.statistics) {
     const name = argument.split(",")[1];
-    if (!name || name === "csv") continue;
+    if (!name || ["csv", "watch"].includes(name)) continue; // these are for a terminal
     const onclick = () => { if (state.opened) statistics.show(name); };
     $("statistics").append(make("button", { onclick }, name[0].toUpperCase() + name.slice(1)));
   }
