@@ -138,9 +138,8 @@ function make_reading()
   if streams then return end
   local can_dissector = require "yapp.host.can"
   local reading_of = require "yapp.reading.reading"
-  local show_frame = require "yapp.show.frame"
-  local show_packet = require "yapp.show.packet"
   local show_taurus = require "yapp.show.taurus"
+  local show_view = require "yapp.show.view"
   local show_wants = require "yapp.show.wants"
   local stream_dissector = require "yapp.host.stream"
   -- Nothing calls this dissector, as YAPP shows the Taurus messages.  It must exist, because the
@@ -149,18 +148,17 @@ function make_reading()
   function taurus.dissector() return 0 end
   reading = reading_of.new(types, buses, function(...) ids:register_start(...) end)
   wants = show_wants.new(catalogue.messages, taurus_fields)
-  local options = {
+  local view = show_view.new {
     yapp = yapp,
     fields = yapp_fields,
     taurus = show_taurus.new(taurus, taurus_fields),
     messages = catalogue.messages,
     names = default_names,
   }
-  frames = can_dissector.new(reading, show_frame.new(options), wants, buses, settings,
-    headers)
+  frames = can_dissector.new(reading, view, wants, buses, settings, headers)
   streams = stream_dissector.new {
     reading = reading,
-    view = show_packet.new(options),
+    view = view,
     wants = wants,
     buses = buses,
     tcp_header = tcp_header,

@@ -343,7 +343,7 @@ def test_packets_of_several_frames_that_a_read_filter_rejects(folder):
     motor, other = Sent(0x210, 0, 0, MOTOR).frames(), Frame(0x123, bytes(8), kind="standard")
     path = acf_file(folder / "acf.pcap", [motor[:2], [other, motor[2]], [motor[3]], [motor[4]]])
     rows = shown(path, INFO, "yapp.fragment", passes=("-2", "-R", "not yapp.can.ctrl == 1"))
-    assert rows[0][0].startswith("Motor Data  fragment 3 of 5") and rows[2][1] == "1,1,1,2,3"
+    assert rows[0][0].startswith("Motor Data  Middle") and rows[2][1] == "1,1,1,2,3"
 
 
 @pytest.mark.parametrize("interface", [100, 200, 5000])

@@ -107,7 +107,7 @@ def test_details_and_packet_list_in_turns(folder, home):
     first, rows, fifth, again = answers_of(home, path, details(1), ("frames", {}), details(5), ("frames", {}))
     assert len(rows) == len(again) == len(frames)
     for row in rows + again:
-        assert "YAPP" in row["c"] and "without a Start" not in row["c"][-1], row
+        assert "YAPP" in row["c"] and "of no message" not in row["c"][-1], row
     assert "yapp.reassembled.in == 5" in filters_in(first)
     assert "yapp.crc.status == 1" in filters_in(fifth)
 

@@ -412,11 +412,6 @@ def test_situation(name):
             assert not problems, f"{passes}:\n" + "\n".join(problems)
 
 
-def test_how_much_of_a_packet_was_captured(folder):
-    told(("the snap length cuts text",)).write(folder / "cut.pcapng")
-    assert "[The capture has 4 of the packet's 13 bytes]" in tshark.run("-r", folder / "cut.pcapng", "-V").stdout
-
-
 def test_what_text2pcap_writes(folder):
     dump = "".join(f"0000 {data.hex(' ')}\n" for data in (b"> " + ONE, TWO))
     (folder / "dump.txt").write_text(dump)

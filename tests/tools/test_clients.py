@@ -55,7 +55,7 @@ def test_recipe(folder, number):
 
 def is_there(shown):
     """Whether a frame stands there that has a fault as its message has: known on a second look only."""
-    return "Motor Data 0x210 (can1) fragment 2 of 5" in " ".join(re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", " ", shown).split())
+    return "Motor Data 0x210 (can1) Middle" in " ".join(re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", " ", shown).split())
 
 
 @pytest.mark.skipif(not shutil.which("termshark"), reason="termshark is not installed")

@@ -281,8 +281,6 @@ local function take_fragment(self, slot, frame, id, say)
       self.ended[slot] = { payload = self.payload, time = self.time,
         padding = self.verdicts[frame.number].padding }
     end
-  elseif bytes_of(frames_since(open, newest)) > newest.size + 4096 then
-    while messages[1] do give_up_oldest(open, anomalies) end
   end
   if not open.messages[1] then self.open[slot] = nil end
   self.verdicts[frame.number].is_unsure = open.is_unsure

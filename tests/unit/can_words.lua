@@ -71,7 +71,7 @@ local OTHER = { "start", "orphan", "orphan" } -- by CAN CTRL
 -- frame    { can_id =, data =, number =, and what else can.reassembly takes }; offset: 8 if left out
 -- visited  whether it was sent before
 -- returns  in words what it is, with what is wrong; and { message, payload = of a message that ends
---          here, index, anomalies, in_number = of the packet that shows the message }
+--          here, anomalies, in_number = of the packet that shows the message }
 function M.visit(known, frame, visited)
   local fields, bus = can_id.fields[frame.can_id], frame.bus or false
   local record = { key = frame.number * frame_key.PACKET + (frame.offset or 8), can_id = fields,
@@ -80,11 +80,11 @@ function M.visit(known, frame, visited)
     data = frame.data, reported = frame.reported or #frame.data,
     accepts_all = frame.accepts_all or false, is_only_pass = frame.is_only_pass or false }
   local look = visited and known.reassembly.recall or known.reassembly.add
-  local kind, message, anomalies, index = look(known.reassembly, record)
+  local kind, message, anomalies = look(known.reassembly, record)
   if not kind then return "-", {} end
   local text = kind == "last" and message.status or kind == "fragment" and "." or kind
   if kind == "other" then text = OTHER[fields.ctrl] or "invalid" end
-  local found = { message = message, anomalies = anomalies or {}, index = index }
+  local found = { message = message, anomalies = anomalies or {} }
   if kind == "last" then
     found.payload = message.payload
     if not visited and M.has_fault(message.payload) then reassembly.mark_fault(message) end

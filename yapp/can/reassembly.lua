@@ -28,7 +28,7 @@
 --   is_overtaken  true if a message with a later Start has ended
 
 local can_id = require "yapp.wire.can_id"
-local frame_key = require "yapp.base.frame_key"
+local number_of = require "yapp.base.frame_key".number
 local search = require "yapp.can.search"
 
 local M = {}
@@ -37,17 +37,9 @@ local concat = table.concat
 local END = can_id.END
 
 local MAX_IN_SLOT = 4 -- open messages of one slot
-local MAX_WASTE = 4096 -- bytes behind the size of a message that does not end
 local MAX_DISTANCE = 0.02 -- seconds between a frame and its copy, as of reading.copies
 
-local LOSSES = { -- by status
-  incomplete = "The message that started in frame %d is incomplete: %d of %d bytes came",
-  overrun = "The message that started in frame %d has %d bytes instead of %d",
-}
-local DUPLICATES = { {
-  expert = "fragment.duplicate",
-  text = "Duplicate of a fragment before it: the CRC is good without it",
-} }
+local DUPLICATES = { { expert = "fragment.duplicate" } }
 
 local Reassembly = {}
 Reassembly.__index = Reassembly
@@ -73,11 +65,11 @@ end
 
 -- The end of a message ---------------------------------------------------------------------------
 
--- Add an anomaly of the newest frame: { expert = name of an expert item, text }.
--- text, ...  as for string.format
-local function add_anomaly(self, expert, text, ...)
+-- Add an anomaly of the newest frame.
+-- expert, text  name and label of an expert item; nil for no label
+local function add_anomaly(self, expert, text)
   self.anomalies = self.anomalies or {}
-  table.insert(self.anomalies, { expert = expert, text = text:format(...) })
+  table.insert(self.anomalies, { expert = expert, text = text })
 end
 
 -- End a message with a status.  If a recorder holds its Start twice, the other one may be lost
@@ -94,8 +86,9 @@ local function lose(self, message)
   close(message, status)
   message.received = received
   if message.is_copy then return end
-  local number = frame_key.number(message[1])
-  add_anomaly(self, "fragment." .. status, LOSSES[status], number, received, message.size)
+  local text = ("The message that started in frame %d has %d of %d bytes"):format(
+    number_of(message[1]), received, message.size)
+  add_anomaly(self, "fragment." .. status, text)
 end
 
 -- End a message with its last frame.
@@ -191,7 +184,7 @@ end
 -- is_taken  by distance: its frames
 -- returns   the others, by distance
 local function leave_rest(self, message, is_taken, list)
-  local chunks, rest, strangers, transfers = message.chunks, {}, {}, self.transfers
+  local chunks, rest, has_strangers, transfers = message.chunks, {}, false, self.transfers
   for i = 2, #message do
     local distance, key, owner = #message - i, message[i], message
     local seeming = transfers[key] -- of another slot, if a read filter dropped this frame
@@ -202,15 +195,12 @@ local function leave_rest(self, message, is_taken, list)
         owner = message
         if is_kept then self.kept_anomalies[key] = DUPLICATES end
       elseif not owner then
-        strangers[#strangers + 1] = key
+        has_strangers = true
       end
     end
     if is_kept then transfers[key] = owner end
   end
-  if strangers[1] then
-    local text = "Fragments of no message: %d, the first in frame %d"
-    add_anomaly(self, "fragment.orphan", text, #strangers, frame_key.number(strangers[1]))
-  end
+  if has_strangers then add_anomaly(self, "fragment.orphan") end
   return rest
 end
 
@@ -282,21 +272,16 @@ end
 
 -- Add the anomalies of a Start's captured bytes.
 local function check_start(self, frame, size, reserved)
-  local known, least, length = frame.source.size, frame.source.min_size, frame.reported
+  local source, length = frame.source, frame.reported
+  local known = source.size
   if length ~= 8 then
-    local expert = length > 8 and "size.mismatch" or "fragment.incomplete"
-    add_anomaly(self, expert, "A Start has 8 bytes, this one has %d", length)
+    add_anomaly(self, length > 8 and "size.mismatch" or "fragment.incomplete")
   end
   if not reserved then return end
-  if size == 0 then
-    add_anomaly(self, "size.mismatch", "The size of the message is 0")
-  elseif known and (size > known or size < least) then
-    local text = "The size is %d bytes, the catalogue says %d"
-    add_anomaly(self, "size.mismatch", text, size, known)
+  if size == 0 or known and (size > known or size < source.min_size) then
+    add_anomaly(self, "size.mismatch")
   end
-  if reserved ~= 0 then
-    add_anomaly(self, "reserved.nonzero", "The reserved bytes are 0x%04x, not 0", reserved)
-  end
+  if reserved ~= 0 then add_anomaly(self, "reserved.nonzero") end
 end
 
 -- Return whether a Start is YAPP's.  Unless the user says that every frame is, it must be
@@ -352,12 +337,7 @@ end
 local function add_orphan(self, frame)
   local fields = frame.can_id
   if not frame.accepts_all and (fields.ctl ~= 0 or not frame.source.size) then return nil end
-  if is_repeated_end(self, frame) then
-    self.anomalies = DUPLICATES
-  else
-    local name = can_id.CTRL_NAMES[fields.ctrl]
-    add_anomaly(self, "fragment.orphan", "%s fragment: no Start captured", name)
-  end
+  add_anomaly(self, is_repeated_end(self, frame) and "fragment.duplicate" or "fragment.orphan")
   return "other"
 end
 
@@ -377,19 +357,13 @@ local function add_fragment(self, frame)
     if not chunks.is_truncated then chunks[index], chunks.is_truncated = data, not is_whole end
     message = message.older
   until not message
-  local size, chunks = newest.size, newest.chunks
-  local received = chunks.received
-  if frame.can_id.ctrl == END then
-    local padding = can_id.padding(data, reported, size - received + reported)
-    local is_excess = not padding and received > size and not chunks.is_truncated
-    if is_excess or newest.older then return decide(self, newest, frame, padding) end
-    self.open[slot] = nil
-    return end_message(self, newest, frame, padding)
-  elseif received > size + MAX_WASTE then
-    give_up(self, list_open(newest), 0)
-    self.open[slot] = nil
-  end
-  return "fragment", newest
+  if frame.can_id.ctrl ~= END then return "fragment", newest end
+  local chunks, excess = newest.chunks, newest.chunks.received - newest.size
+  local padding = can_id.padding(data, reported, reported - excess)
+  local has_choice = newest.older or excess > 0 and not (padding or chunks.is_truncated)
+  if has_choice then return decide(self, newest, frame, padding) end
+  self.open[slot] = nil
+  return end_message(self, newest, frame, padding)
 end
 
 -- Other frames -----------------------------------------------------------------------------------
@@ -411,7 +385,7 @@ end
 
 local function add_undefined(self, frame)
   if not frame.accepts_all then return nil end
-  add_anomaly(self, "can.ctrl.invalid", "CAN CTRL is %d; 0 to 3 are defined", frame.can_id.ctrl)
+  add_anomaly(self, "can.ctrl.invalid")
   return "other"
 end
 
@@ -452,14 +426,13 @@ function M.mark_fault(message)
 end
 
 --- Recall a frame that was added before.
--- returns  as Reassembly:add, and the index of the frame in its message; of a fragment that came
---          twice, the index of the one before
+-- returns  as Reassembly:add
 function Reassembly:recall(frame)
   local key = frame.key
   local message, anomalies = self.transfers[key], self.kept_anomalies[key]
   if message and message.slot % can_id.BUS == frame.can_id.message_key then
     local is_last = message.payload and message[#message] == key
-    return is_last and "last" or "fragment", message, anomalies, frame_key.last_until(message, key)
+    return is_last and "last" or "fragment", message, anomalies
   elseif anomalies or message == false then
     return message == false and "fragment" or "other", nil, anomalies
   elseif frame.can_id.ctrl == 0 then

@@ -23,7 +23,7 @@ Dissector.__index = Dissector
 
 --- Make the dissector.
 -- reading      a reading.reading
--- view         a show.frame
+-- view         a show.view
 -- wants        a show.wants
 -- buses        a capture.capture
 -- settings     its accepts_all: the preference yapp.all_extended
@@ -117,7 +117,9 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
     self:remember(tvb, pinfo, id)
     return 0
   end
-  if wants.shows or not result.is_usual then self.view:show(result, wants, tvb, pinfo, tree) end
+  if wants.shows or not result.is_usual then
+    self.view:show_frame(result, wants, tvb, pinfo, tree)
+  end
   return reported
 end
 

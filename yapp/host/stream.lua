@@ -52,7 +52,7 @@ local function read_segment(tvb, pinfo)
 end
 
 --- Make the dissector.
--- parts  { reading = a reading.reading, view = a show.packet, wants = a show.wants,
+-- parts  { reading = a reading.reading, view = a show.view, wants = a show.wants,
 --          buses = a capture.capture; Protos for the wrappers: tcp_header, usb_header;
 --          counted = function(f) -> f, whose calls are counted }
 function M.new(parts)
@@ -143,7 +143,7 @@ local function dissect(self, packet, wants, tvb, pinfo, tree)
   local contents = read(reading, packet)
   if not contents then return false end
   self.number = packet.number
-  self.view:show(packet, contents, wants, tvb, pinfo, tree)
+  self.view:show_packet(packet, contents, wants, tvb, pinfo, tree)
   return true
 end
 
@@ -274,7 +274,7 @@ function Dissector:dissect_skipped(tvb, pinfo, tree)
   if size > 0 then
     local line = line_of(self, pinfo, pinfo.port_type)
     local packet, wants = whole_packet(self, line, tvb, pinfo, tree)
-    self.view:show(packet, self.reading:add_skipped(packet), wants, tvb, pinfo, tree)
+    self.view:show_packet(packet, self.reading:add_skipped(packet), wants, tvb, pinfo, tree)
   end
   return size
 end

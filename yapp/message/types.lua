@@ -103,8 +103,7 @@ end
 --   label     the name of its messages
 --   short     the same without the source, if a column shows that
 --   write     function(raws) -> the values in Info, nil without a message type
---   text      for the column Source: the name, else bus and ID, where they differ from others'
---   texts     of the fragments of its messages, see show.frame }
+--   text      for the column Source: the name, else bus and ID, where they differ from others' }
 function Types:new_source(id, bus_key, bus, line)
   local interface = line and line.interface or nil
   local message_type, name, row = self.sources:find(bus, id, interface)
@@ -124,7 +123,6 @@ function Types:new_source(id, bus_key, bus, line)
     short = self.hidden.source and title_of(message_type, id) or label,
     write = (message_type or NONE)[self.hidden.values and "info_rest" or "info"],
     text = name or column_text(self, id, bus, line),
-    texts = {},
   }
 end
 

@@ -7,7 +7,8 @@
 -- another packet: no recorder writes a part of one twice.  A sender may repeat a message without a
 -- clock, as a Command: that is a copy only where messages with a clock are recorded twice, too.
 
-local number_of = require("yapp.base.frame_key").number
+local memo = require "yapp.base.memo"
+local number_of = require "yapp.base.frame_key".number
 
 local M = {}
 
@@ -15,20 +16,6 @@ local abs, min = math.abs, math.min
 local MAX_DISTANCE = 0.02 -- seconds
 local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
 local MAX_KEPT = 16 -- messages of a source within this time
-
-local Copies = {}
-Copies.__index = Copies
-
---- Make the finder of one capture.
--- capture  a capture.capture, asked whether a time is real
-function M.new(capture)
-  return setmetatable({
-    capture = capture,
-    by_source = {}, -- [source] = its latest messages that are no copies, see new_list
-    are_doubled = {}, -- [bus key, or "line"] = true once a message with a clock had a copy there
-    originals = {}, -- [frame key of a copy] = that of its original, for revisits
-  }, Copies)
-end
 
 -- The latest messages of a source: a list of { key, time, text, copied_in = number of the latest
 -- packet with a copy of it }, oldest first.
@@ -41,10 +28,18 @@ local function new_list(source)
   }
 end
 
--- Return a text that is equal for equal messages.  If the CRC is good, it follows from the bytes.
-local function text_of(message)
-  local text = string.char(message.seq) .. message.payload
-  return message.status == "bad" and text .. message.transfer.crc or text
+local Copies = {}
+Copies.__index = Copies
+
+--- Make the finder of one capture.
+-- capture  a capture.capture, asked whether a time is real
+function M.new(capture)
+  return setmetatable({
+    capture = capture,
+    by_source = memo(new_list), -- [source] = its latest messages that are no copies, see new_list
+    are_doubled = {}, -- [bus key, or "line"] = true once a message with a clock had a copy there
+    originals = {}, -- [frame key of a copy] = that of its original, for revisits
+  }, Copies)
 end
 
 -- Find the original of a message among the latest ones of its source.
@@ -73,11 +68,8 @@ end
 -- returns       frame key of the message that it is a copy of; nil if it is none
 function Copies:find(message, visited, is_only_pass)
   if visited then return self.originals[message.key] end
-  local list, time, text = self.by_source[message.source], message.time, text_of(message)
-  if not list then
-    list = new_list(message.source)
-    self.by_source[message.source] = list
-  end
+  local list, time = self.by_source[message.source], message.time
+  local text = message.status .. string.char(message.seq) .. message.payload
   local original = find_in(self, list, message, text)
   -- A read filter may have dropped a copy whose number this packet has.
   if not is_only_pass then self.originals[message.key] = original end

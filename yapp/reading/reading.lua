@@ -127,8 +127,6 @@ local function add_history(self, message, frame)
   message.change, message.delta = change or false, delta or false
   if delta == nil or change and change.unreliable then message.is_unreliable = true end
   message.state = frame.wants_state and self.history:state(message) or false
-  -- In a stream, the ID of a damaged frame may be damaged, too.
-  if message.source.line and message.status ~= "good" then message.delta = false end
 end
 
 local function is_plain(message)
@@ -155,7 +153,7 @@ end
 
 -- Return the result of a frame, and report it.
 -- kind ...  of can.reassembly
-local function new_frame_result(self, frame, kind, transfer, anomalies, index)
+local function new_frame_result(self, frame, kind, transfer, anomalies)
   if not kind then return nil end
   local result, message, is_usual = self.result, false, true
   frame.seq = frame.can_id.seq
@@ -168,7 +166,6 @@ local function new_frame_result(self, frame, kind, transfer, anomalies, index)
   result.transfer = transfer or false
   result.message = message
   result.anomalies = anomalies or false
-  result.index = index or false
   result.is_usual = is_usual and not anomalies and #frame.data == frame.reported
   if kind == "fragment" and not anomalies then return result end -- no statistic counts it
   return report(self, result)
@@ -189,15 +186,9 @@ end
 -- returns  as Reading:read
 function Reading:recall(frame)
   frame.source = self.sources[frame.bus][frame.can_id.id]
-  local kind, transfer, anomalies, index = self.reassembly:recall(frame)
+  local kind, transfer, anomalies = self.reassembly:recall(frame)
   if transfer then frame.source = transfer.source end
-  return new_frame_result(self, frame, kind, transfer, anomalies, index)
-end
-
--- Return the payload size that a Start says; nil if it may be none.
-local function start_size(data)
-  local _, size, reserved = can_id.start(data)
-  return #data == 8 and reserved == 0 and size > 8 and size or nil
+  return new_frame_result(self, frame, kind, transfer, anomalies)
 end
 
 -- Return the payload size of the message that a single frame may be; nil for none.
@@ -220,8 +211,12 @@ function Reading:report_undissected(frame)
   local fields = frame.can_id
   local source, data, size = self.sources[frame.bus][fields.id], frame.data, nil
   if fields.ctl ~= 0 and not source.type then return end
-  if fields.ctrl == START then size = start_size(data) end
-  if fields.ctrl == 0 then size = single_size(self, source.type, data) end
+  if fields.ctrl == START and #data == 8 then
+    local _, total, reserved = can_id.start(data)
+    size = reserved == 0 and total > 8 and total
+  elseif fields.ctrl == 0 then
+    size = single_size(self, source.type, data)
+  end
   if not size then return end
   frame.source = source
   local result = records.new_result("undissected", frame)

@@ -71,7 +71,6 @@ function M.new_result(kind, frame)
     transfer = false, -- that the frame belongs to, or false
     message = false, -- that it ends, or false
     anomalies = false, -- list of { expert, text, ... }, see can.reassembly; or false
-    index = false, -- of the frame in its transfer, on a revisit; or false
     length = 0, -- number of bytes: of skipped ones; size of an undissected message
     is_usual = false, -- true if it needs no expert item
   }

@@ -114,12 +114,7 @@ M.EXPERTS = {
 
 --- The filter names of all expert items: { [name] = true }.
 M.EXPERT_NAMES = {}
---- The rows of the expert items of changes.
-M.CHANGES = {}
-for _, row in ipairs(M.EXPERTS) do
-  M.EXPERT_NAMES[row[1]] = true
-  if row.change then table.insert(M.CHANGES, row) end
-end
+for _, row in ipairs(M.EXPERTS) do M.EXPERT_NAMES[row[1]] = true end
 
 -- Make a field of the columns of a row behind its filter: type, title, description, base, values,
 -- mask.

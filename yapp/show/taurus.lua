@@ -13,10 +13,10 @@ local M = {}
 
 local add, add_le, append_text = TreeItem.add, TreeItem.add_le, TreeItem.append_text
 local referenced, set_generated = TreeItem.referenced, TreeItem.set_generated
-local set_hidden, set_text = TreeItem.set_hidden, TreeItem.set_text
+local set_hidden = TreeItem.set_hidden
 local add_expert = show_fields.add_expert
 local fault_names, flag_names = text_of.fault_names, text_of.flag_names
-local format, range_of, value_of = string.format, Tvb.range, field_kinds.value
+local range_of, value_of = Tvb.range, field_kinds.value
 
 local NONE = {}
 local WAYS = { "raised", "cleared" }
@@ -64,13 +64,10 @@ end
 function ADD.number(field, fields)
   local pf, special_pf = fields[field.filter], fields[field.special]
   local label, unit = field.title .. ": ", field.unit and " " .. field.unit or ""
-  local bytes = " (0x%0" .. field.size * 2 .. "x)"
   return function(parent, range, raw)
     local text, special = field_kinds.text(field, raw)
     if text then return add(parent, pf, range, tonumber(text), label .. text .. unit) end
-    text = label .. field_kinds.SPECIALS[special]
-    if field.kind == "float" then text = text .. format(bytes, raw) end
-    return set_text(add(parent, special_pf, range, special), text)
+    return add(parent, special_pf, range, special)
   end
 end
 
@@ -87,37 +84,16 @@ end
 ADD.text = new_adder(value_of)
 ADD.time = new_adder(function(_, raw) return NSTime.new(binary.time(raw, 0)) end)
 
--- Return a function(raw) -> the ProtoFields of flags, those that are set first: of thirty faults
--- the one that is there is seen at once.  It keeps the latest order.
--- flags  { { pf, mask }, ... }
-local function new_order(flags)
-  local order, latest = {}, nil
-  return function(raw)
-    if raw == latest then return order end
-    local unset = {}
-    order, latest = {}, raw
-    for _, flag in ipairs(flags) do
-      local list = band(raw, flag[2]) ~= 0 and order or unset
-      list[#list + 1] = flag[1]
-    end
-    for _, pf in ipairs(unset) do order[#order + 1] = pf end
-    return order
-  end
-end
-
 -- Flags, with those of their ProtoFields that are wanted.
 function ADD.flags(field, fields)
   local pf, names_pf = fields[field.filter], fields[field.filter .. ".names"]
   local undefined_pf, flags = fields[field.group .. ".undefined"], {}
   for _, flag in ipairs(field.flags) do
-    local own = fields[flag.filter]
-    if own then flags[#flags + 1] = { own, flag.mask } end
+    flags[#flags + 1] = fields[flag.filter]
   end
-  local order_of = new_order(flags)
   return function(parent, range, raw)
     local item = pf and add_le(parent, pf, range) or parent
-    local order = order_of(raw)
-    for i = 1, #order do add_le(item, order[i], range) end
+    for _, flag in ipairs(flags) do add_le(item, flag, range) end
     if raw == 0 then return item end
     local undefined, names = band(raw, field.undefined), flag_names(field, raw)
     if undefined_pf and undefined ~= 0 then add(item, undefined_pf, range, undefined) end
@@ -257,8 +233,6 @@ local function add_faults(message, top)
     end
   end
   if active == "" and here == "" then return nil end
-  local active_time = message.state and message.state.active_time
-  if here == "" and active_time then here = (", for %.3f s"):format(active_time) end
   return set_generated(add(top, "Faults: " .. (active == "" and "none" or active) .. here))
 end
 
@@ -357,12 +331,10 @@ local function add_flags_changes(self, changes, way, top, faults)
   local has_faults = false
   for _, change in ipairs(changes) do
     local field, raw = change.field, change[way]
-    local pf, alarms = self.fields[field.group .. "." .. way], band(raw, field.alarm_bits)
-    has_faults = has_faults or alarms ~= 0
+    local pf = self.fields[field.group .. "." .. way]
+    has_faults = has_faults or band(raw, field.alarm_bits) ~= 0
     if top and raw ~= 0 and referenced(top, pf) then
-      local added = set_generated(add(top, pf, raw))
-      append_text(added, " (" .. flag_names(field, raw) .. ")")
-      if way == "raised" then append_help(added, field, alarms) end
+      append_text(set_generated(add(top, pf, raw)), " (" .. flag_names(field, raw) .. ")")
     end
   end
   if has_faults then add_expert(faults, "taurus.fault." .. way) end
@@ -375,8 +347,8 @@ local function add_changes(self, change, top, item, faults)
   for _, way in ipairs(WAYS) do
     add_flags_changes(self, change.flags or NONE, way, top, faults)
   end
-  for _, row in ipairs(show_fields.CHANGES) do
-    local value, label, word = change[row.change], row.label, row.word
+  for _, row in ipairs(show_fields.EXPERTS) do
+    local value, label, word = row.change and change[row.change], row.label, row.word
     if value then
       add_expert(item, row[1], label and label:format(value))
       if word then words = words .. "  " .. word end
