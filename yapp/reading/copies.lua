@@ -49,8 +49,7 @@ local function find_in(self, list, message, text)
   for _, kept in ipairs(list) do
     if kept.text == text and abs(time - kept.time) < list.distance then
       local number = number_of(message.key)
-      local is_inside = number_of(kept.key) == number or kept.copied_in == number
-      if not is_inside then
+      if number_of(kept.key) ~= number and kept.copied_in ~= number then
         if not self.capture:is_time_real(time) then return nil end
         if list.has_clock then self.are_doubled[list.bus] = true end
         if not self.are_doubled[list.bus] then return nil end

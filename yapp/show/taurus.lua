@@ -160,26 +160,13 @@ local STATES = {
   { "command_in", number_of, false },
 }
 
-local function list_states(self, message_type, tree)
-  local list = {}
-  for _, row in ipairs(STATES) do
-    local name, show, is_about_faults = row[1], row[2], row[3]
-    local pf = self.fields[message_type.states[name]]
-    if pf and referenced(tree, pf) then
-      list[#list + 1] = { name = name, pf = pf, show = show, is_about_faults = is_about_faults }
-    end
-  end
-  return list
-end
-
 -- Return the plan of a message type's tree: has_own = true if the message's field is wanted, and
--- what is wanted of its fields, of the values that are worked out from them, and of states.
+-- what is wanted of its fields and of the values that are worked out from them.
 local function new_plan(self, message_type, tree)
   return {
     has_own = referenced(tree, self.fields[message_type.filter]),
     fields = list_fields(self, message_type, tree),
     values = list_values(self, message_type, tree),
-    states = list_states(self, message_type, tree),
   }
 end
 
@@ -287,10 +274,11 @@ local function build_tree(self, message, view)
   end
   local items = add_fields(message, plan, view, top)
   add_values(message, plan, top)
-  for _, step in ipairs(message.state and plan.states or NONE) do
-    local value = message.state[step.name]
-    if value then
-      set_generated(add(step.is_about_faults and faults or top, step.pf, step.show(value)))
+  for _, row in ipairs(message.state and STATES or NONE) do
+    local name, show, is_about_faults = row[1], row[2], row[3]
+    local value, pf = message.state[name], self.fields[message_type.states[name]]
+    if value and pf and referenced(tree, pf) then
+      set_generated(add(is_about_faults and faults or top, pf, show(value)))
     end
   end
   return top, items, faults
