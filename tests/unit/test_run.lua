@@ -25,7 +25,7 @@ local function new_queue()
 end
 
 local function add(queue, statistic, filter, row)
-  return queue:add(statistic, { filter = filter, row = row or {} })
+  return queue:add(statistic, { filter = filter, row = row or {}, rules = {} })
 end
 
 local function result_of(event, visited)

@@ -134,10 +134,10 @@ function T.test_which_fault()
   end
   for number, title in ipairs { "1 of 3", "2 of 3", "3 of 3" } do
     lu.assertEquals(titles { number = number }, "YAPP fault: " .. title)
-    for behind = 0, 2 do lu.assertEquals(titles { at = 3 * number - 2 + behind }, "YAPP fault: " .. title) end
+    for behind = 0, 2 do lu.assertEquals(titles { frame = 3 * number - 2 + behind }, "YAPP fault: " .. title) end
   end
   lu.assertEquals({ titles { number = 4 } }, { "YAPP fault: 3", 21, "there is no such fault: the capture has 3" })
-  lu.assertEquals({ titles { at = 10 } }, { "YAPP fault: 3", 21, "there is no such fault: the capture has 3" })
+  lu.assertEquals({ titles { frame = 10 } }, { "YAPP fault: 3", 21, "there is no such fault: the capture has 3" })
   lu.assertEquals({ flight({ }).finish() }, { "YAPP fault: 0\na note\n" })
 end
 

@@ -62,6 +62,26 @@ function M.find(list, name)
   return nil, table.concat(names, ", ")
 end
 
+--- Name the first values of rows, and return these: rows("name help", { { "x", "is x" } }) gives
+-- { { "x", "is x", name = "x", help = "is x" } }.
+function M.rows(names, rows)
+  for _, row in ipairs(rows) do
+    local index = 0
+    for name in names:gmatch("%S+") do
+      index = index + 1
+      row[name] = row[index]
+    end
+  end
+  return rows
+end
+
+--- Return the row of a list that has a name.  If none has it, raise which names there are.
+-- what  the rows are, in errors
+function M.choose(list, name, what)
+  local row, names = M.find(list, name)
+  return M.demand(row, "no %s %q; known: %s", what, name, names)
+end
+
 --- The names in a text as a set: { [name] = true }.
 function M.set(text)
   local names = {}

@@ -50,7 +50,7 @@ function M.new(settings, statistic, options)
     copies = 0, -- number of messages that were recorded once more, or several times
     originals = {}, -- [source] = frame key of the latest of them
     -- How often a fault may be hidden, by kind of event; nil if the statistic does not say it.
-    hiding = (options.looks_for_faults or options.row.looks_for_faults) and {} or nil,
+    hiding = (options.rules.fault or options.row.looks_for_faults) and {} or nil,
     unreliable = {}, -- texts: whose history is unreliable; and by source
     equal_stamps = {}, -- texts: whose stamps stand still; and by source
   }, Answer)

@@ -74,13 +74,13 @@ local Fault = { follows_changes = true }
 Fault.__index = Fault
 
 --- Make the statistic.
--- options  { number = of the fault, or nil; at = number of a packet, or nil: the fault that is set
+-- options  { number = of the fault, or nil; frame = of a packet, or nil: the fault that is set
 --          in it, or the next one }
 function M.new(options, context)
   return setmetatable({
-    is_chosen = options.at or options.number,
-    at = options.at or huge,
-    number = options.number or options.at and 0 or 1,
+    is_chosen = options.frame or options.number,
+    at = options.frame or huge,
+    number = options.number or options.frame and 0 or 1,
     context = context,
     count = 0, -- of faults
     cards = {}, -- by source: of its latest fault

@@ -14,7 +14,6 @@ local span = kinds.span
 local number_of = field_kinds.number
 local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
-local NO_EVENTS = { seen = 0, values = kinds.NOTHING } -- a count: to be read only
 
 --- Return a number with the digits that people see.
 function M.round(field, value)
@@ -23,54 +22,36 @@ function M.round(field, value)
 end
 local round = M.round
 
+--- Return a number without noise: 10, not 9.9999999999999982.
+function M.clean(value)
+  return tonumber(("%.12g"):format(value)) or value -- infinity
+end
+
 --- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent;
--- NaN for a reserved value, nil where the message does not have the field.
+-- NaN for a reserved value, and where the message does not have the field.
 function M.number_in(field, raws)
-  if not field.index then return field_kinds.value(field, raws) end -- worked out from others
-  local raw = raws[field.index]
-  return raw and number_of(field, raw)
+  local raw = raws
+  if field.index then raw = raws[field.index] end -- others are worked out
+  return number_of(field, raw)
 end
 
 -- Values ----------------------------------------------------------------------------------------
 
--- Make the record of a field of a source.
-local function new_values(field, spread)
-  return {
-    field = field,
-    -- The highest raw value that is a number, where raw values are gathered: see add_values.
-    ordinary = not spread and field_kinds.linear_top(field) or false,
-    count = 0, -- of numbers, whose least, sum and largest follow, or those of raw values
-    min = INFINITE,
-    sum = 0.0,
-    max = -INFINITE,
-    spread = spread, -- of all sources, where they are compared
-    latest = NO_NUMBER, -- number
-    latest_at = nil, -- when it came
-  }
-end
-
-local function add_number(values, value)
-  values.count = values.count + 1
-  values.sum = values.sum + value
-  if value < values.min then values.min = value end
-  if value > values.max then values.max = value end
-end
-
 --- Find how far the latest values of all sources lie apart: the largest spread so far, and the
 -- event that shows it.  Needs values of two sources at one time.
--- values   { field, spread, latest, latest_at }, see new_values
+-- values   { spread, latest, latest_at }, see Groups:new_values
 -- longest  seconds for which a value stays valid
 function M.update_spread(values, value, event, longest)
   local spread, low, high, count = values.spread, INFINITE, -INFINITE, 0
-  values.latest, values.latest_at = round(values.field, value), event.at
-  for _, member in ipairs(spread.members) do
+  values.latest, values.latest_at = value, event.at
+  for _, member in ipairs(spread) do
     local latest = member.latest
     if latest == latest and span(member.latest_at, event.at) <= longest then
       low, high, count = math.min(low, latest), math.max(high, latest), count + 1
     end
   end
   if count < 2 then return end
-  local apart = tonumber(("%.7g"):format(high - low)) -- no 0.30000000000000004
+  local apart = M.clean(high - low)
   if apart > (spread.worst or -1) then
     spread.worst, spread.frame, spread.rel = apart, event.frame, event.time
   end
@@ -78,123 +59,108 @@ end
 
 -- Groups ----------------------------------------------------------------------------------------
 
+-- A list of the values of each source, with worst, frame and rel: see M.update_spread.
 local function new_spread()
-  return { members = {}, worst = nil, frame = nil, rel = nil }
+  return {}
 end
 
--- Make the record of a source: {
+-- Of a kind of event: seen = how many, frame and values = of the first, cause = of the latest.
+local function new_count()
+  return { seen = 0, values = kinds.NOTHING }
+end
+
+local Groups = {}
+
+--- Make a class of statistics that gather by source.  A group is the record of a source: {
 --   source, type = the source's
---   counts = { [kind of event] = see M.count }
+--   counts = { [kind of event] = see new_count }
 --   count = of good messages, decoded = of those that were decoded; first, last = their events
 --   gap_min, gap_max = seconds, gap_max_frame
 --   silent = how long it has been silent at the capture's end, if that is a silence
 --   is_unreliable = true if one of them had an unreliable history
 --   values = of Groups:new_values }
-local function new_group(self, source)
-  local wanted = self.wanted[source.type or false]
-  return {
-    source = source,
-    type = source.type,
-    counts = {},
-    count = 0,
-    decoded = 0,
-    values = wanted and self:new_values(wanted) or kinds.NOTHING,
-  }
-end
-
-local Groups = {}
-
---- Make a class of statistics that gather by source.
--- class    its own methods, see stat.answer; wants, new_values and add_values, if it gathers other
---          values than those of all fields that are numbers; compares = true if it gathers their
---          spreads, too
+-- class    its own methods, see stat.answer; new_values and add_values, if it gathers other values
+--          than those of all fields that are numbers; compares = true if it gathers their spreads
 -- returns  it, with class.new(options, context), which makes a statistic:
 --   options  of stat.options
 --   context  { dates = a stat.dates; settings = see stat.taps; and the rest for output.print }
 function M.class(class)
   class.__index = class
   function class.new(options, context)
-    local list = {}
     local self = setmetatable({
       options = options,
       context = context,
-      list = list, -- of groups
-      by_source = nil,
-      capture = { counts = {} }, -- a group: the events of the whole capture
+      list = {}, -- of groups; by_source = the same, by source
+      capture = { counts = memo(new_count) }, -- a group: the events of the whole capture
       absent = {}, -- by source: true if none of its messages came
-      wanted = {}, -- by message type: see Groups:wants
       spreads = memo(new_spread), -- by field, or by rule
     }, class)
-    self.by_source = memo(function(source) return new_group(self, source) end, list)
-    for _, message_type in ipairs(context.settings.catalogue.messages) do
-      self.wanted[message_type] = self:wants(message_type)
-    end
+    self.by_source = memo(function(source)
+      local message_type = source.type
+      return {
+        source = source,
+        type = message_type,
+        counts = memo(new_count),
+        count = 0,
+        decoded = 0,
+        values = message_type and self:new_values(message_type) or kinds.NOTHING,
+      }
+    end, self.list)
     return self
   end
   return setmetatable(class, { __index = Groups })
 end
 
---- Return the fields of a message type that are numbers and no codes.
-function M.numbers_of(message_type)
+--- Make the values of a source: of the fields that are numbers and no codes.
+function Groups:new_values(message_type)
   local list = {}
   for _, field in ipairs(joined(message_type.fields, message_type.generated)) do
-    if field_kinds.is_number(field) then list[#list + 1] = field end
-  end
-  return list
-end
-
---- Return the fields of a message type whose values are gathered.
-function Groups:wants(message_type) -- luacheck: no self
-  return M.numbers_of(message_type)
-end
-
---- Make the values of a source.
--- wanted  of Groups:wants
-function Groups:new_values(wanted)
-  local list = {}
-  for i, field in ipairs(wanted) do
     local spread = self.compares and self.spreads[field]
-    list[i] = new_values(field, spread)
-    if spread then table.insert(spread.members, list[i]) end
+    local values = {
+      field = field,
+      -- The highest raw value that is a number, where raw values are gathered: see add_values.
+      ordinary = not spread and field_kinds.linear_top(field) or false,
+      count = 0, -- of numbers, whose least, sum and largest follow, or those of raw values
+      min = INFINITE,
+      sum = 0.0,
+      max = -INFINITE,
+      spread = spread, -- of all sources, where they are compared
+      latest = NO_NUMBER, -- latest_at = when it came
+    }
+    if field_kinds.is_number(field) then
+      list[#list + 1] = values
+      if spread then table.insert(spread, values) end
+    end
   end
   return list
-end
-
--- amount  to add; nil for 1, but only once for all events of one message
-local function count_event(group, kind, event, amount)
-  local counts, frame, cause = group.counts, event.frame, event.cause or event
-  local count = counts[kind] or { seen = 0, frame = nil, values = kinds.NOTHING, cause = nil }
-  counts[kind] = count
-  if frame and frame < (count.frame or INFINITE) then
-    count.frame, count.values = frame, event.values
-  end
-  if amount or count.cause ~= cause then
-    count.seen = count.seen + (amount or 1)
-  end
-  count.cause = cause
 end
 
 --- Add the values of a message.
+-- list     of Groups:new_values
 -- longest  seconds for which a value stays valid
-function Groups:add_values(group, event, longest) -- luacheck: no self
+function Groups.add_values(list, event, longest)
   local raws = event.raws
-  for _, values in ipairs(group.values) do
+  for _, values in ipairs(list) do
     -- Where numbers grow with raw values, M.row works out the numbers of the least, the sum and the
     -- largest of these: this halves the time of a summary's values.
     local field, ordinary = values.field, values.ordinary
     local value = ordinary and raws[field.index]
     if not ordinary then value = M.number_in(field, raws) end
-    if value and value <= (ordinary or INFINITE) then add_number(values, value) end -- no NaN
-    if values.spread then M.update_spread(values, value or NO_NUMBER, event, longest) end
+    if value and value <= (ordinary or INFINITE) then -- no NaN
+      values.count, values.sum = values.count + 1, values.sum + value
+      if value < values.min then values.min = value end
+      if value > values.max then values.max = value end
+    end
+    if values.spread then M.update_spread(values, value, event, longest) end
   end
 end
 
 local function add_message(self, event)
   local group = self.by_source[event.source]
   local last = group.last
+  local gap = last and span(last.at, event.at)
   group.last = event
-  if last then
-    local gap = span(last.at, event.at)
+  if gap then
     if gap > (group.gap_max or -INFINITE) then
       group.gap_max, group.gap_max_frame = gap, event.frame
     end
@@ -206,7 +172,18 @@ local function add_message(self, event)
   if not event.raws then return end
   group.decoded = group.decoded + 1
   local every = group.type.every
-  self:add_values(group, event, every and self.context.settings.late * every or INFINITE)
+  local longest = every and self.context.settings.late * every or INFINITE
+  self.add_values(group.values, event, longest, gap or 0)
+end
+
+-- amount  to add; nil for 1, but only once for all events of one message
+local function count_event(group, kind, event, amount)
+  local count, frame, cause = group.counts[kind], event.frame, event.cause or event
+  if frame and frame < (count.frame or INFINITE) then
+    count.frame, count.values = frame, event.values
+  end
+  if amount or count.cause ~= cause then count.seen = count.seen + (amount or 1) end
+  count.cause = cause
 end
 
 --- Add an event, see stat.answer.  A fault counts when it rises.
@@ -214,9 +191,7 @@ function Groups:add_event(event)
   local kind, values = event.kind, event.values
   local row = kinds.BY_NAME[kind]
   if not row then return add_message(self, event) end
-  if kind == "fault" and values.event ~= "raised" then
-    return
-  end
+  if kind == "fault" and values.event ~= "raised" then return end
   if kind == "absent" then self.absent[event.source] = true end
   local group = row.scope == "capture" and self.capture or self.by_source[event.source]
   count_event(group, row.counts_as or kind, event, values[row.amount])
@@ -228,12 +203,6 @@ function Groups:add_event(event)
   end
 end
 
---- Return the count of a kind of event in a group: { seen = how many, frame, values = of the first,
--- cause = of the latest }.
-function M.count(group, kind)
-  return group.counts[kind] or NO_EVENTS
-end
-
 --- Return the mean gap in seconds, nil for fewer than two messages.
 function M.mean_gap(group)
   return group.count > 1 and span(group.first.at, group.last.at) / (group.count - 1) or nil
@@ -241,8 +210,8 @@ end
 
 --- Return the mean rate in Hz, nil where no two messages are at two times.
 function M.rate(group)
-  local length = group.count > 1 and span(group.first.at, group.last.at) or 0
-  return length > 0 and (group.count - 1) / length or nil
+  local gap = M.mean_gap(group)
+  return gap and gap > 0 and 1 / gap or nil
 end
 
 --- Return the median of numbers, which it sorts.
@@ -259,8 +228,7 @@ function M.row(group, values)
   if count == 0 then return row end
   local min, mean, max = values.min, values.sum / count, values.max
   if values.ordinary then
-    min, max = number_of(field, min), number_of(field, max)
-    mean = number_of(field, mean)
+    min, mean, max = number_of(field, min), number_of(field, mean), number_of(field, max)
   end
   row.min, row.mean, row.max = round(field, min), mean, round(field, max)
   return row
@@ -268,19 +236,17 @@ end
 
 --- Return all groups by bus in the order in which buses showed, then by ID.  A stream itself has no
 -- ID and comes first.
--- by_controller  true if a controller's are together: by its name, else by the last digit of the ID
+-- by_controller  true if a controller's are together: by the last digit of the ID
 function Groups:sort(by_controller)
-  local orders, controllers = {}, {} -- [bus] = index of its first group
+  local orders = {} -- [bus] = index of its first group
   for i, group in ipairs(self.list) do
-    local source = group.source
-    local bus = source.bus_key or false
+    local bus = group.source.bus_key or false
     orders[bus] = orders[bus] or i
-    controllers[group] = orders[bus] * 16 + (source.id or 0) % 16
   end
   output.sort(self.list, function(group)
     local source = group.source
-    local bus = orders[source.bus_key or false]
-    return by_controller and controllers[group] or bus, source.id or -1
+    local id = source.id or -16
+    return orders[source.bus_key or false], by_controller and id % 16 or 0, id
   end)
   return self.list
 end

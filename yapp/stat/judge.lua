@@ -4,6 +4,7 @@
 
 local band = require("yapp.base.bits").band
 local groups = require "yapp.stat.groups"
+local memo = require "yapp.base.memo"
 local span = require("yapp.stat.kinds").span
 
 local M = {}
@@ -12,102 +13,114 @@ local round = groups.round
 local NO_NUMBER = 0 / 0
 local INFINITE = math.huge
 
---- Why nothing of a source can be judged.
-M.NO_VALUE = "no good message of it was decoded"
-
---- Make the state of a source: its series, a list, also by rule.
--- rules    of the source's message type
--- spreads  [rule] = spread of groups
-function M.new(rules, spreads)
-  local state = {
-    last = nil, -- when the latest message came
-    since = {}, -- by the text of a condition: when it began to hold; nil while it does not
+-- Make the values of a source that a rule judges.  Besides the keys below it has
+--   value, low, high, frame  of the latest number: its limits and its frame
+--   nearest  the number that was nearest to a limit: { value, low, high, frame, room }
+--   worst    the same of the values that break the rule: the one farthest outside
+--   stretch  of values outside in a row: since = when the first came, and those that did not yet
+--            break the rule
+--   first, second  the latest two numbers, for noise
+local function new_series(rule, spreads)
+  local series = {
+    rule = rule,
+    seen = 0, -- number of values that are judged
+    count = 0, -- of those that are numbers; sum = theirs
+    sum = 0.0,
+    beyond = 0, -- number of values outside the points of `over`
+    outside = 0, -- number of values that break the rule
+    noise = 0.0, -- sum of how far numbers lie from the mean of their neighbours, noisy = how many
+    noisy = 0,
+    -- Where sources are compared, see groups.update_spread.
+    field = rule.field,
+    spread = rule.kind.scope == "capture" and spreads[rule],
+    latest = NO_NUMBER,
   }
-  for i, rule in ipairs(rules) do
-    local series = {
-      rule = rule,
-      seen = 0, -- number of values that are judged
-      count = 0, -- of those that are numbers; sum = theirs
-      sum = 0.0,
-      beyond = 0, -- number of values outside the points of `over`
-      -- Of the number nearest to a limit; room = how far it lies within, negative if outside.
-      nearest = { room = INFINITE },
-      frame = nil, -- of the latest number that was judged: its value, room, low, high
-      outside = 0, -- number of values that break the rule; worst = the farthest, like nearest
-      worst = { room = 0 },
-      stretch = nil, -- of values outside in a row: { since, count, worst }
-      noise = 0.0, -- sum of how far numbers lie from the mean of their neighbours, count = of these
-      noisy = 0,
-      first = nil, -- the latest two numbers: first, second
-      second = nil,
-      -- Where sources are compared, see groups.update_spread.
-      field = rule.field,
-      spread = rule.kind.scope == "capture" and spreads[rule],
-      latest = NO_NUMBER,
-    }
-    if series.spread then table.insert(series.spread.members, series) end
-    state[i], state[rule] = series, series
+  if series.spread then table.insert(series.spread, series) end
+  return series
+end
+
+--- Make the state of a source, a list of gates: the series of the rules with one condition, with
+-- rule = one of them, since = when the condition began to hold.  It has the series by rule, too.
+-- rules    all of them: those about values of the message type count
+-- spreads  [rule] = spread of groups
+function M.new(rules, message_type, spreads)
+  local state = {}
+  local gates = memo(function() return {} end, state)
+  for _, rule in ipairs(rules) do
+    if rule.field and rule.message == message_type then
+      local series, gate = new_series(rule, spreads), gates[rule.condition]
+      gate.rule, gate[#gate + 1], state[rule] = rule, series, series
+    end
   end
   return state
 end
 
 -- Return whether a condition holds, for as long as it must; nil if the message does not tell.
-local function is_fulfilled(state, condition, event)
-  local since, is_known, raws = state.since, true, event.raws
-  for _, test in ipairs(condition.tests) do
-    local value = groups.number_in(test.field, raws)
-    if value and test.mask then value = band(value, test.mask) ~= 0 and 1 or 0 end
-    value = value and round(test.field, value)
-    if not value or value ~= value then
-      is_known = false
-    elseif value < test.low or value > test.high then
-      since[condition.text] = nil
+local function is_open(gate, numbers, at)
+  local is_known = true
+  for _, test in ipairs(gate.rule.tests) do
+    local value = numbers[test.field]
+    if test.mask then value = band(value, test.mask) ~= 0 and 1 or 0 end
+    if value < test.low or value > test.high then
+      gate.since = nil
       return false
     end
+    is_known = is_known and value == value
   end
   if not is_known then return nil end
-  since[condition.text] = since[condition.text] or event.at
-  return span(since[condition.text], event.at) >= condition.after
+  gate.since = gate.since or at
+  return span(gate.since, at) >= gate.rule.after
 end
 
--- Return the limits of `over` at a value of the other field; nil outside the points.
-local function limits_at(points, x)
-  if not (x >= points[1].x and x <= points[#points].x) then return nil end
-  local i = 2
-  while x > points[i].x do i = i + 1 end
-  local from, to = points[i - 1], points[i]
-  local share = (x - from.x) / (to.x - from.x)
-  return from.low + (to.low - from.low) * share, from.high + (to.high - from.high) * share
+-- Return the limits of a value: of `over` at a value of the other field; nil outside the points.
+local function limits_of(rule, numbers)
+  local points = rule.points
+  if not rule.other then return points[1].low, points[1].high end
+  local x = numbers[rule.other]
+  for i = 2, #points do
+    local from, to = points[i - 1], points[i]
+    if x >= from.x and x <= to.x then
+      local share = (x - from.x) / (to.x - from.x)
+      return from.low + (to.low - from.low) * share, from.high + (to.high - from.high) * share
+    end
+  end
 end
 
--- Return a number without noise: 10, not 9.9999999999999982.
-local function clean(value)
-  return tonumber(("%.12g"):format(value)) or value -- infinity
+--- Return how far a value lies within its limits, negative outside: in percent of their range, or
+-- of the only limit, nil for 0; and in its unit.
+-- one  { value, low, high }
+function M.margin(one)
+  local low, high = one.low, one.high
+  local margin, range = math.min(one.value - low, high - one.value), high - low
+  if range == INFINITE then range = math.min(math.abs(low), math.abs(high)) end
+  return range > 0 and tonumber(("%.3g"):format(margin / range * 100)) or nil, margin
+end
+
+-- Return the record that lies farther outside, or nearer to a limit.
+local function nearer(one, other)
+  return one and one.room <= other.room and one or other
 end
 
 -- A value outside: it breaks the rule if it is so for long enough.
-local function add_outside(series, found, event)
-  local stretch = series.stretch or { since = event.at, count = 0, worst = found }
-  series.stretch = stretch
-  stretch.count = stretch.count + 1
-  if found.room < stretch.worst.room then stretch.worst = found end
-  if span(stretch.since, event.at) < series.rule.hold then return end
-  series.outside, stretch.count = series.outside + stretch.count, 0
-  if stretch.worst.room < series.worst.room then series.worst = stretch.worst end
+local function add_outside(series, found, at)
+  local stretch = series.stretch or { since = at }
+  series.stretch, stretch[#stretch + 1] = stretch, found
+  if span(stretch.since, at) < series.rule.hold then return end
+  for i, one in ipairs(stretch) do
+    series.outside, series.worst, stretch[i] = series.outside + 1, nearer(series.worst, one), nil
+  end
 end
 
 -- Judge a number by its limits.
 local function judge(series, value, low, high, event)
-  local room, above = value - low, high - value
-  if above < room then room = above end
-  series.value, series.room, series.low, series.high = value, room, low, high
-  series.frame = event.frame
-  if room < 0 or room < series.nearest.room then
-    value, low, high = round(series.field, value), clean(low), clean(high)
+  local room, nearest = math.min(value - low, high - value), series.nearest
+  series.value, series.low, series.high, series.frame = value, low, high, event.frame
+  if room < 0 or not nearest or room < nearest.room then
+    value = round(series.field, value)
     room = math.min(value - low, high - value)
-    local found = { room = room, value = value, low = low, high = high, frame = event.frame }
-    if room < series.nearest.room then series.nearest = found end
-    if room < 0 then return add_outside(series, found, event) end
+    local found = { value = value, low = low, high = high, frame = event.frame, room = room }
+    series.nearest = nearer(nearest, found)
+    if room < 0 then return add_outside(series, found, event.at) end
   end
   series.stretch = nil
 end
@@ -121,12 +134,10 @@ local function add_noise(series, value)
   series.first, series.second = second, value
 end
 
--- other  the value of the field that `over` names
-local function add_value(series, value, other, event)
-  local rule = series.rule
-  local low, high = rule.least, rule.most
+local function add_value(series, value, numbers, event)
+  local rule, low, high = series.rule
   if rule.points then
-    low, high = limits_at(rule.points, other or NO_NUMBER)
+    low, high = limits_of(rule, numbers)
     if not low then
       series.beyond = series.beyond + 1
       return
@@ -139,93 +150,57 @@ local function add_value(series, value, other, event)
   if rule.kind.name == "noise" then add_noise(series, value) end
 end
 
--- Return whether a rule judges a message; nil if the message does not tell.
--- fulfilled  by the text of a condition: the answer, which rules share
-local function is_judged_by(state, condition, event, fulfilled)
-  if not condition then return true end
-  local answer = fulfilled[condition.text]
-  if answer == nil then
-    answer = is_fulfilled(state, condition, event)
-    fulfilled[condition.text] = answer
-  end
-  return answer
-end
-
--- Return whether what must last begins anew with a message: behind a gap and a reboot.
-local function begins_anew(state, event, longest)
-  local last, change = state.last, event.values.change
-  state.last = event.at
-  if change and change.reboot then return true end
-  return last and (event.at < last or span(last, event.at) > longest)
-end
-
 --- Add a message.
 -- longest  seconds: a longer gap breaks what must last
-function M.add(state, event, longest)
-  local begins, numbers, fulfilled = begins_anew(state, event, longest), {}, {}
-  if begins then state.since = {} end
-  local function number(field) -- rules share fields and conditions: work them out once
-    local value = numbers[field]
-    if value == nil then
-      value = groups.number_in(field, event.raws) or false
-      numbers[field] = value
-    end
-    return value
-  end
-  for _, series in ipairs(state) do
-    local rule = series.rule
-    local is_judged = is_judged_by(state, rule.condition, event, fulfilled)
-    if begins or is_judged == false then
-      series.stretch, series.first, series.second = nil, nil, nil
-    end
-    local value = is_judged and number(rule.field)
-    if value then add_value(series, value, rule.other and number(rule.other), event) end
-    if series.spread and is_judged ~= nil then
-      groups.update_spread(series, value or NO_NUMBER, event, longest)
+-- gap      seconds since the message before
+function M.add(state, event, longest, gap)
+  local change = event.values.change
+  local begins = gap > longest or change and change.reboot
+  -- Rules share fields: work their numbers out once.
+  local numbers = memo(function(field) return groups.number_in(field, event.raws) end)
+  for _, gate in ipairs(state) do
+    if begins then gate.since = nil end
+    local is_judged = is_open(gate, numbers, event.at)
+    for _, series in ipairs(gate) do
+      if begins or is_judged == false then
+        series.stretch, series.first, series.second = nil, nil, nil
+      end
+      local value = is_judged and numbers[series.field] or NO_NUMBER
+      if is_judged then add_value(series, value, numbers, event) end
+      if series.spread and is_judged ~= nil then
+        groups.update_spread(series, value, event, longest)
+      end
     end
   end
-end
-
--- Return how far the latest number lies within its limits: the share of their range, or of the only
--- limit.
-local function share_of(series)
-  local low, high = series.low, series.high
-  local range = high - low
-  if range == INFINITE then range = math.abs(high < INFINITE and high or low) end
-  return range > 0 and series.room / range or series.room
 end
 
 --- Return the number of a message that is nearest to its limit, the latest message being in this
 -- frame: { rule, value, share }, where share is negative outside; nil for none.
 function M.latest(state, frame)
-  local nearest = { share = INFINITE }
-  for _, series in ipairs(state) do
-    local share = series.frame == frame and share_of(series) or INFINITE
-    if share < nearest.share then
-      local value = round(series.field, series.value)
-      nearest = { rule = series.rule, value = value, share = share }
+  local nearest
+  for _, gate in ipairs(state) do
+    for _, series in ipairs(gate) do
+      local share = series.frame == frame and M.margin(series)
+      if share and not (nearest and nearest.share <= share) then
+        local value = round(series.field, series.value)
+        nearest = { rule = series.rule, value = value, share = share }
+      end
     end
   end
-  return nearest.rule and nearest
+  return nearest
 end
 
---- Return why a rule judged no value of a source; nil if it did.
-function M.explain(state, rule)
-  if state[rule].seen > 0 then return nil end
-  if not state.last then return M.NO_VALUE end
-  if state[rule].beyond > 0 then
-    return ("%s was never within %s"):format(rule.other.name, rule.limit)
-  end
-  return rule.condition and "the condition never held:" .. rule.condition.text
-    or "all its values are reserved"
-end
-
---- Describe the values that a rule judged.
+--- Describe the values that a rule judged, or why it judged none; nil if it just met none.
 function M.describe(series)
-  local text, beyond = ("of %d values"):format(series.count), series.beyond
-  if beyond == 0 then return text end
-  local shape = "%s, %.3g %% more not judged: %s outside the points"
-  return shape:format(text, beyond / (beyond + series.seen) * 100, series.rule.other.name)
+  local condition, beyond = series.rule.condition, series.beyond
+  if beyond > 0 then
+    local share = beyond / (beyond + series.seen) * 100
+    return ("of %d values, %.3g %% more never judged: %s outside the points")
+      :format(series.count, share, series.rule.other.name)
+  elseif series.seen == 0 and condition ~= "" then
+    return "the condition never held:" .. condition
+  end
+  return series.count > 0 and ("of %d values"):format(series.count) or nil
 end
 
 return M

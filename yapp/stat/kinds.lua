@@ -6,6 +6,8 @@
 -- A new kind is a row here and the code that makes its events.  Of a row with `change`, stat.events
 -- makes them: if a change of message.history has the row's name.
 
+local input = require "yapp.base.input"
+
 local M = {}
 
 -- name        the first value: in JSON and in rules
@@ -25,8 +27,8 @@ local M = {}
 -- needs_values  the same with a message that was decoded
 -- is_doubtful true if a `shared` behind it may explain it, see stat.events
 -- needs_time  true if it can be judged only if packets have time stamps
--- can_fall    true if more packets may lower the value that the rule judges
-M.LIST = {
+-- can_mend    true if more packets may mend a rule that failed
+M.LIST = input.rows("name text", {
   {
     "fault",
     "{flag} {event}{after}",
@@ -139,7 +141,7 @@ M.LIST = {
     hides = "lost while capturing",
     scope = "capture",
   },
-  { "absent", "no message of it came", scope = "capture", can_fall = true },
+  { "absent", "no message of it came", scope = "capture", can_mend = true },
   { "copies", "recorded twice", is_optional = true, is_counted_only = true },
   {
     "unknown",
@@ -155,20 +157,19 @@ M.LIST = {
     scope = "rare",
     is_optional = true,
   },
-}
+})
 
 --- The rows by name.
 M.BY_NAME = {}
 --- The rows that are changes.
 M.CHANGES = {}
---- The names of the rows that have a rule, in their order.
+--- The rows that have a rule.
 M.RULES = {}
 for _, row in ipairs(M.LIST) do
-  row.name, row.text = row[1], row[2]
-  row.bound, row.is_count = "high", true -- of its rule, see stat.rules
+  row.is_count = true -- of its rule, see stat.rules
   M.BY_NAME[row.name] = row
   if row.change then M.CHANGES[#M.CHANGES + 1] = row end
-  if not row.counts_as then M.RULES[#M.RULES + 1] = row.name end
+  if not row.counts_as then M.RULES[#M.RULES + 1] = row end
 end
 
 --- The values of an event that has none.

@@ -17,127 +17,107 @@ local watch = require "yapp.stat.watch"
 
 local M = {}
 
-local demand, find, trim = input.demand, input.find, input.trim
-
-local NO_RULE = "no rule follows %s: it is for those behind it"
+local choose, demand, find, trim = input.choose, input.demand, input.find, input.trim
 
 -- Options -----------------------------------------------------------------------------------------
 --
 -- Functions from here to the rows of the statistics raise errors.
 
--- Call a function of a row of LIST.  If it raises a text, note it as a problem of this part.
-local function attempt(options, part, call, catalogue)
-  local ok, why = pcall(call, options, part, catalogue)
-  if ok then return end
-  if part == "" then part = "an empty option" end
-  table.insert(options.problems, ("%s%s: %s"):format(options.line, part, why))
+local function read_integer(value)
+  return tonumber(value:match("^[1-9]%d*$"))
 end
 
-local parse_check
+-- How the value of an option is read, by the word that stands for it: in junit=FILE it is FILE.
+local READERS = { FILE = tostring, NAME = tostring, NUMBER = read_integer, BITS = read_integer }
 
-local function add_rule(options, text, catalogue, source)
-  local words = options.row.options .. ", filter=EXPRESSION"
-  local rule = rules_of.parse(text, catalogue, source, words)
+local read_rules
+
+-- Read an option that the row of the statistic names, or what only this statistic reads.
+local function read_option(options, part)
+  local row, name, value = options.row, part:match("^(%l+)%s*=%s*(.*)$")
+  name, value = name or part, value or ""
+  for word, shape in row.options:gmatch("(%l+)=?(%w*)") do
+    local read, found = READERS[shape], shape == value and (value == "" or value)
+    if word == name and read then found = read(value) end
+    if word == name and found then
+      if name == "rules" then return read_rules(options, value) end
+      options[name] = found
+      return
+    end
+  end
+  demand(row.parse and row.parse(options, part),
+    "the options of %s are %s, filter=EXPRESSION", row.name, row.options)
+end
+
+-- Call a function of a part of the argument.  If it raises a text, note it as a problem of this
+-- part.
+local function attempt(options, part, call)
+  local ok, why = pcall(call, options, part)
+  if not ok then table.insert(options.problems, ("%s%s: %s"):format(options.place, part, why)) end
+end
+
+local function add_rule(options, text)
+  local rule = rules_of.parse(text, options)
   table.insert(options.rules, rule)
+  options.rules[rule.name] = rule
   return rule
 end
 
+local function read_line(options, text)
+  local source = text:match("^source%s*=%s*(.+)$")
+  if not source then return add_rule(options, text) end
+  options.source = source
+end
+
 -- The rules of a file, one a line.  A # behind a blank begins a comment.
-local function read_rules(options, path, catalogue)
-  demand(options.line == "", "a file of rules names no other")
+function read_rules(options, path)
   local file, problem = io.open(path, "rb")
   demand(file, "%s", problem)
-  local text = file:read("*a") or "" -- nil for a folder
+  local text, source = file:read("*a") or "", options.source -- no text: a folder
   file:close()
-  local count, number_of_line = #options.rules + #options.problems, 0
-  local source = options.source -- for the rules behind the file
-  for line in (text:gsub("^\239\187\191", "") .. "\n"):gmatch("(.-)\r?\n") do
-    number_of_line = number_of_line + 1
+  local count, number = #options.rules + #options.problems, 0
+  for line in text:gsub("^\239\187\191", ""):gmatch("([^\n]*)\n?") do
+    number = number + 1
+    options.place = ("%s:%d: "):format(path, number)
     local part = trim((" " .. line):gsub("%s#.*", ""))
-    options.line = ("%s:%d: "):format(path, number_of_line)
-    if part ~= "" then attempt(options, part, parse_check, catalogue) end
+    if part ~= "" then attempt(options, part, read_line) end
   end
-  options.line, options.source = "", source
+  options.place, options.source = "", source -- for the rules behind the file
   demand(#options.rules + #options.problems > count, "there is no rule in it")
-  local unused = options.unused
-  options.unused = nil -- a rule behind the file would not be about this source
-  demand(not unused, NO_RULE, unused)
 end
 
-function parse_check(options, part, catalogue)
-  local name, value = part:match("^(%w+)%s*=%s*(.*)$")
-  if name == "junit" or name == "source" or name == "rules" then
-    demand(value ~= "", "it is empty")
-    if name == "source" then
-      demand(not options.unused, NO_RULE, options.unused)
-      options.unused = part
-    end
-    if name == "rules" then return read_rules(options, value, catalogue) end
-    options[name] = value
-  else
-    options.unused = nil
-    add_rule(options, part, catalogue, options.source)
-    options.looks_for_faults = options.looks_for_faults or name == "fault"
-    options.judges_unknown = options.judges_unknown or name == "unknown"
-  end
-end
-
-local function finish_check(options, _, catalogue)
+local function finish_check(options)
   local rules = options.rules
   if rules[1] or options.problems[1] then
+    options.source = nil
     -- No rule can check a message that was not decoded.
-    if not options.judges_unknown then
-      add_rule(options, "unknown=0", catalogue)
-    end
-    demand(not options.unused, NO_RULE, "it")
-    return
+    return rules.unknown or add_rule(options, "unknown=0")
   end
-  options.looks_for_faults = true
   for _, kind in ipairs(kinds.RULES) do
-    if not kinds.BY_NAME[kind].is_optional then
-      add_rule(options, kind .. "=0", catalogue, options.source).is_default = true
+    if not kind.is_optional then
+      add_rule(options, kind.name .. "=0").is_default = true
     end
   end
 end
 
-local function refuse(options)
-  demand(false, "the options of %s are %s, filter=EXPRESSION", options.what, options.row.options)
-end
-
-local function parse_csv(options, part, catalogue)
+local function parse_csv(options, part)
   if not options.folder then
     options.folder = part
-    return
+  elseif options.folder == "-" and not options.chosen then
+    options.chosen = choose(options.catalogue.messages, part, "message")
+  else
+    return false
   end
-  if options.folder ~= "-" or options.chosen then refuse(options) end
-  local message, names = find(catalogue.messages, part)
-  options.chosen = demand(message, "no such message; known messages: %s", names or "none")
+  return true
 end
 
 local function finish_csv(options)
-  local folder, chosen = options.folder or "", options.chosen
-  demand(folder ~= "" and (folder ~= "-" or chosen), "it is csv,FOLDER or csv,-,MESSAGE")
-  demand(not (chosen and options.json), "csv,- prints a table; json is for csv,FOLDER")
-end
-
-local function parse_buses(options, part)
-  local bitrate = part:match("^bitrate=(%d+)$")
-  if not bitrate then refuse(options) end
-  options.bitrate = demand(tonumber(bitrate) > 0 and tonumber(bitrate), "it is 0")
+  demand(options.chosen or (options.folder or "-") ~= "-", "it is csv,FOLDER or csv,-,MESSAGE")
 end
 
 local function parse_fault(options, part)
-  local name, number = part:match("^(%l*)=?(%d+)$")
-  demand(name == "" or name == "frame", "it is fault, fault,3 or fault,frame=719")
-  options[name == "" and "number" or "at"] = tonumber(number)
-end
-
-local function parse_watch(options, part, catalogue)
-  local name, value = part:match("^(%l+)%s*=%s*(.*)$")
-  if name == "rules" then return read_rules(options, value, catalogue) end
-  if name == "bitrate" then return parse_buses(options, part) end
-  if name ~= "stop" or not (value == "fault" or value == "rule") then refuse(options) end
-  options.stop = value
+  options.number = read_integer(part)
+  return options.number
 end
 
 local function finish_watch(options)
@@ -147,165 +127,105 @@ end
 -- The statistics ----------------------------------------------------------------------------------
 
 -- name     behind -z yapp,
+-- module   has new(options, context), which makes it: see stat.answer; COLUMNS of output.columns,
+--          or these by name
 -- title    in menus
--- new      function(options, context), makes it: see stat.answer
--- columns  of output.columns
--- options  the words besides filter=EXPRESSION: M.parse knows the words without "=" by this text
--- parse    function(options, part, catalogue), reads other options; nil if there are none
--- finish   the same, checks all options at the end; nil for no check
+-- options  besides filter=EXPRESSION: read_option knows them by this text
 -- help     its meaning, for people
+-- parse    function(options, part), reads other parts; returns whether it did
+-- finish   the same, checks all options at the end; nil for no check
 -- ask      the question of a menu; the answer follows the name
 -- file     the name of a new file that a menu suggests
 -- is_live  true if it shows packets while they come, in tshark alone
 -- reads_frames  true if it reads all CAN frames, see stat.buses
 -- table_only  true if its output has no room for notes
 -- looks_for_faults  true if it must say which messages may hide a fault, as it does not list them
-M.LIST = {
+local COMPARE = { new = summary.compare, COLUMNS = summary.COMPARED }
+M.LIST = input.rows("name module title options help", {
+  { "summary", summary, "Summary", "json", "of each controller: rate, gaps, losses, its values" },
+  { "faults", lists, "Faults", "json", "when each fault rose and fell", looks_for_faults = true },
   {
-    name = "summary",
-    title = "Summary",
-    new = summary.new,
-    columns = summary.COLUMNS,
-    options = "json",
-    help = "of each controller: rate, gaps, losses, its values",
-  },
-  {
-    name = "faults",
-    title = "Faults",
-    new = lists.new,
-    columns = lists.COLUMNS.faults,
-    options = "json",
-    help = "when each fault rose and fell",
-    looks_for_faults = true,
-  },
-  {
-    name = "fault",
-    title = "Fault",
-    new = fault.new,
-    columns = fault.COLUMNS,
-    options = "json, frame=NUMBER",
+    "fault",
+    fault,
+    "Fault",
+    "json, frame=NUMBER",
+    "the card of one fault: what changed before it",
     parse = parse_fault,
-    help = "the card of one fault: what changed before it",
     ask = "Number of the fault, or frame=NUMBER (empty: the first)",
     looks_for_faults = true,
   },
+  { "events", lists, "Events", "json", "these, reboots, silences, bad CRCs, losses, in order" },
+  { "compare", COMPARE, "Compare", "json", "the values of all controllers beside each other" },
   {
-    name = "events",
-    title = "Events",
-    new = lists.new,
-    columns = lists.COLUMNS.events,
-    options = "json",
-    help = "these, reboots, silences, bad CRCs, losses, in order",
-  },
-  {
-    name = "compare",
-    title = "Compare",
-    new = summary.compare,
-    columns = summary.COMPARED,
-    options = "json",
-    help = "the values of all controllers beside each other",
-  },
-  {
-    name = "buses",
-    title = "CAN buses",
-    new = buses.new,
-    columns = buses.COLUMNS,
-    options = "json, bitrate=BITS",
-    parse = parse_buses,
-    help = "of each CAN bus: frames, error frames, load",
+    "buses",
+    buses,
+    "CAN buses",
+    "json, bitrate=BITS",
+    "of each CAN bus: frames, error frames, load",
     reads_frames = true,
   },
   {
-    name = "csv",
-    title = "Export tables",
-    new = csv.new,
-    columns = csv.COLUMNS,
-    options = "replace, all, json",
+    "csv",
+    csv,
+    "Export tables",
+    "replace, all, json",
+    "a CSV for each message, in a new folder",
     parse = parse_csv,
     finish = finish_csv,
-    help = "a CSV for each message, in a new folder",
     ask = "New folder",
     file = "tables",
     table_only = true,
   },
   {
-    name = "check",
-    title = "Check",
-    new = check.new,
-    columns = check.COLUMNS,
-    options = "json, junit=FILE, source=NAME, rules=FILE",
-    parse = parse_check,
+    "check",
+    check,
+    "Check",
+    "json, junit=FILE, source=NAME, rules=FILE",
+    "whether all is well, or rules hold",
+    parse = add_rule,
     finish = finish_check,
-    help = "whether all is well, or rules hold",
     ask = "Rules (empty: check everything)",
   },
   {
-    name = "watch",
-    title = "Watch",
-    new = watch.new,
-    columns = watch.COLUMNS,
-    options = "json, rules=FILE, stop=fault, stop=rule, bitrate=BITS",
-    parse = parse_watch,
+    "watch",
+    watch,
+    "Watch",
+    "json, rules=FILE, stop=fault, stop=rule, bitrate=BITS",
+    "the controllers, once a second while packets come",
     finish = finish_watch,
-    help = "the controllers, once a second while packets come",
     looks_for_faults = true,
     is_live = true,
   },
-}
+})
 
---- The rows with a menu.
-M.MENUS = {}
+--- The rows with a menu, and all rows by name.
+M.MENUS, M.BY_NAME = {}, {}
 for _, row in ipairs(M.LIST) do
+  local columns = row.module.COLUMNS
+  row.new, row.columns = row.module.new, columns[row.name] or columns
+  M.BY_NAME[row.name] = row
   if not row.is_live then M.MENUS[#M.MENUS + 1] = row end
-end
---- The rows by name.
-M.BY_NAME = {}
-for _, row in ipairs(M.LIST) do M.BY_NAME[row.name] = row end
-
--- words  the options without "="
-local function parse_part(options, part, words, catalogue)
-  if words[part] then
-    options[part] = true
-  else
-    attempt(options, part, options.row.parse or refuse, catalogue)
-  end
 end
 
 --- Read the argument of -z.
 -- text       "yapp,check,fault=0,motor.rate=9,filter=can.bus_id == 1, or so"
 -- catalogue  compiled
--- returns    { what =, row = of LIST, filter = or nil,
---            json = true and other words of the row's options, if they were given,
---            statistics = LIST; number, at = of fault; folder, chosen = of csv; rules, junit = of
---            check; looks_for_faults = true if a rule is about faults; problems = list of texts,
---            each names its option }
+-- returns    { row = of LIST, nil if there is none; what = its name; filter = or nil; the options
+--            that it names, as json = true; rules = list, and by name; folder, chosen = of csv;
+--            number = of fault; statistics = LIST; place = "FILE:7: " while a file is read;
+--            problems = list of texts, each names its option }
 function M.parse(text, catalogue)
   local head, filter = text:match("^(.-),%s*filter%s*=(.*)$") -- a display filter, commas and all
   local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")
-  what = trim(what or "")
-  local row = M.BY_NAME[what]
-  local options = {
-    what = what,
-    row = row,
-    statistics = M.LIST,
-    filter = filter,
-    rules = {},
-    problems = {},
-    line = "", -- in a file of rules "FILE:7: "
-  }
+  local row, names = find(M.LIST, trim(what or ""))
+  local options = { row = row, statistics = M.LIST, filter = filter, rules = {}, problems = {} }
   if not row then
-    local _, names = find(M.LIST)
-    options.problems[1] = ("%s: it is yapp,%s"):format(text, (names:gsub(", ", " or yapp,")))
+    options.problems[1] = ("%s: no such statistic; known: %s"):format(text, names)
     return options
   end
-  local words = input.set((row.options:gsub("%w+=%w+", ""):gsub(",", "")))
-  for part in rest:gmatch(",([^,]*)") do
-    parse_part(options, trim(part), words, catalogue)
-  end
-  if row.finish then attempt(options, options.unused or what, row.finish, catalogue) end
-  if filter and not filter:find("%S") then
-    table.insert(options.problems, "filter=: the display filter is missing")
-  end
+  options.what, options.place, options.catalogue = row.name, "", catalogue
+  for part in rest:gmatch("[^,]+") do attempt(options, trim(part), read_option) end
+  if row.finish then attempt(options, row.name, row.finish) end
   return options
 end
 

@@ -89,7 +89,7 @@ function M.row(group, ending, is_window)
   for _, column in ipairs(COLUMNS.all) do
     local key, value = column.key, nil
     if column.kind then
-      value = groups.count(group, column.kind).seen
+      value = group.counts[column.kind].seen
       if is_window and value == 0 then value = nil end
     elseif not (column.needs_time and ending.lacks_times) then
       value = column.value and column.value(group) or group[key]

@@ -43,9 +43,10 @@ local SOURCE_KEYS = output.words(table.concat(summary.COLUMNS.json, " ") .. " " 
 
 -- Counts, and in JSON the ranges of values, as in `summary`.
 local Counts = groups.class {}
+local new_values = Counts.new_values
 
-function Counts:wants(message_type)
-  return self.context.json and groups.numbers_of(message_type) or {}
+function Counts:new_values(message_type)
+  return self.context.json and new_values(self, message_type) or {}
 end
 
 local Watch = { follows_changes = true }
