@@ -168,7 +168,7 @@ return {
     { "motor_temperature", "float8", "Motor Temperature", min = -40, max = 210, unit = "°C" },
     { "motor_mode", "uint8", "Motor Mode", values = MOTOR_MODE },
     { "status_flags", "uint32", "Status Flags", flags = STATUS, group = "status" },
-    { "fault_flags", "uint32", "Fault Flags", flags = FAULT, group = "fault", alarm = "FAULT" },
+    { "fault_flags", "uint32", "Fault Flags", flags = FAULT, group = "fault", alarm = true },
     { "timestamp", "int64_ns", "Timestamp" },
     { "motor_state", "uint8", "Motor State", flags = STATE, group = "state" },
     { "esc_temperature", "float8", "ESC Temperature", min = -40, max = 210, unit = "°C" },

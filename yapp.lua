@@ -241,7 +241,8 @@ local function controller_time(bytes)
   local time = message and message.time
   if not time or size < math.max(message.min_size, time.offset + 8) then return nil end
   if #bytes < frame.HEADER + size then return nil end
-  local seconds, nanoseconds = binary.time(bytes, frame.HEADER + time.offset)
+  local first = frame.HEADER + time.offset + 1
+  local seconds, nanoseconds = binary.time(bytes:sub(first, first + 7))
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 

@@ -30,7 +30,7 @@ MESSAGE = """\
     { "clock", "int64_ns", "Clock" },
     { "level", "float16", "Level", min = 0, max = 100, unit = "%" },
     { "mode", "uint8", "Mode", values = { [0] = "Idle", [1] = "Charging" } },
-    { "alarms", "uint8", "Alarms", group = "alarm", alarm = "FAULT",
+    { "alarms", "uint8", "Alarms", group = "alarm", alarm = true,
       flags = { { "hot", 0x1, "Hot" }, { "cold", 0x2, "Cold" } } },
     { "cells", "uint16", "Cells" },
   },

@@ -26,7 +26,7 @@ return {
     { "up", "uint64", "Up", scale = 0.001, unit = "s" } },
   { name = "word", title = "Word", id = 0x306, size = 3,
     info = "{gear}",
-    { "word", "uint16", "Word", group = "word", alarm = "ARMED",
+    { "word", "uint16", "Word", group = "word", alarm = true,
       flags = { { "armed", 0x8000, "Armed" }, { "load", 0x0FF0, "Load" } } },
     { "gear", "uint8", "Gear", values = { [0] = "Park", [1] = "Drive", [7] = "Reverse" } } },
   { name = "text", title = "Text", id = 0x307, size = 15,

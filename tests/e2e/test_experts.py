@@ -228,7 +228,7 @@ def test_decode_as_shows_the_same_as_the_preference(name, passes):
 
 HELP = """return { { name = "motor", title = "Motor Data", id = 0x210, size = 32,
   { "before", "bytes", "Before", length = 18 },
-  { "fault_flags", "uint32", "Fault Flags", group = "fault", alarm = "FAULT", flags = {
+  { "fault_flags", "uint32", "Fault Flags", group = "fault", alarm = true, flags = {
     { "motor_overcurrent", 0x10000, "Motor overcurrent", help = "look at the phases" },
     { "hall_timeout", 0x10000000, "Hall timeout" } } },
   { "behind", "bytes", "Behind", length = 10 } } }"""

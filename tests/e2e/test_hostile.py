@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Input that is meant to harm: sizes and lengths at their ends, preferences, candump lines, catalogues.  Time and memory
+"""Input that is meant to harm: sizes and lengths at their ends, preferences, candump lines.  Time and memory
 stay bounded, the words say what is wrong and where, and what is good is still decoded."""
 import pathlib
 import resource
@@ -151,47 +151,6 @@ def test_lengths_above_the_record(folder, flags, arguments):
 
 # Preferences -------------------------------------------------------------------------------------------------------
 
-ALL_IDS = ("motor", "command", "health")
-
-
-@levels.deep
-def test_each_id_is_given_to_each_message():
-    """It is said, but not 4,096 times."""
-    path = tshark.CAPTURES / "can/document_command.pcap"
-    lines = said(*(word for name in ALL_IDS for word in ("-o", f"yapp.{name}_ids:0-2047")), "-r", path)
-    assert lines[0] == "yapp: preferences: ID 0x0 is given to Command and to Motor Data: it stays with Command"
-    assert lines[-1] == "yapp: preferences: and so on: 4096 problems in all"
-    assert len(lines) <= 25
-
-
-@levels.deep
-@pytest.mark.parametrize("text", ["0-2047," * 10000 + "0", "0x210," * 20000 + "0", "2047-0", "5-", "-"],
-                         ids=["all", "one", "backward", "open", "dash"])
-def test_ranges_without_end(text):
-    """Wireshark takes all of these for ranges; each ID counts once."""
-    done = tshark.run("-o", f"yapp.motor_ids:{text}", "-r", tshark.CAPTURES / "can/document_command.pcap", check=False, limits=limits)
-    assert len(ours(done.stderr)) <= 2 and ("Command" in done.stdout or "yapp.motor_ids" in done.stderr)
-
-
-@pytest.mark.parametrize("setting", levels.few([
-    "yapp.motor_ids:0-4294967295", "yapp.motor_ids:0-99999999999999999999", "yapp.motor_ids:\u00e9",
-    "yapp.motor_ids:1e3", "yapp.user_dlt:0-4294967295", "yapp.motor_ids:" + "9" * 100000],
-    ["yapp.motor_ids:0-4294967295", "yapp.user_dlt:0-4294967295"]), ids=lambda text: text[:30])
-def test_ranges_beyond_the_ids_are_refused(setting):
-    done = tshark.run("-o", setting, "-r", tshark.CAPTURES / "can/document_command.pcap", check=False, limits=limits)
-    assert done.returncode != 0 and setting[:20] in done.stderr
-
-
-@pytest.mark.parametrize("setting", levels.few(
-    ["yapp.divisor:", "yapp.divisor:7", "yapp.divisor:" + "x" * 100000, "yapp.all_extended:maybe", "yapp.search_all:" + "x" * 100000],
-    ["yapp.divisor:7", "yapp.all_extended:maybe"]), ids=lambda text: text[:30])
-def test_garbage_leaves_a_choice_as_it_is(setting):
-    path = tshark.CAPTURES / "can/document_command.pcap"
-    done = tshark.run("-o", setting, "-r", path, "-T", "fields", "-e", "taurus.command.rpm", check=False, limits=limits)
-    is_refused = done.returncode != 0 and setting.partition(":")[0] in done.stderr
-    assert is_refused or done.stdout == "750.8012\n", done.stderr
-
-
 def test_link_types_of_others():
     lines = said("-o", "yapp.user_dlt:0-162", "-r", tshark.CAPTURES / "can/document_command.pcap")
     assert lines == ["yapp: preferences: yapp.user_dlt: link type 0 is no DLT_USER; those are 147 to 162"]
@@ -234,78 +193,6 @@ def test_many_bad_candump_lines(folder):
     path.write_bytes(COMMAND * 50 + b"(1700000000.000000) can0 00000000#0\n" * levels.size(10000, 100000) + COMMAND)
     numbers, lines = decoded_and_said(path)
     assert numbers == list(range(1, 52)) and len(lines) <= 20
-
-
-# Catalogues --------------------------------------------------------------------------------------------------------
-
-GOOD_ENTRY = '{ name = "good", title = "Good", id = 0x7FF, size = 1, { "f", "uint8", "F" } }'
-
-# A catalogue, and what is to be said of it: of several texts, all.
-CATALOGUES = {
-    "names of expert items": (f"return {{ {GOOD_ENTRY}, {{ name = 'fault', title = 'F', id = 1, size = 1, "
-                              "{ 'active', 'uint8', 'A' } }, { name = 'value', title = 'V', id = 2, size = 1, "
-                              "{ 'special', 'uint8', 'S' } } }",
-                              ["message fault, field active: the filter name taurus.fault.active is taken",
-                               "message value, field special: the filter name taurus.value.special is taken"]),
-    "an error of the file's own": ("error('planted')", ["taurus_fields.lua:1: planted"]),
-    "an error that is no text": ("error({})", ["cannot be read"]),
-    "no stack": ("local function f() return 1 + f() end return f()", ["cannot be read", "stack overflow"]),
-}
-UNREADABLE = ("an error", "no stack")
-
-
-@pytest.mark.parametrize("name", levels.few(CATALOGUES, ["an error of the file's own", "no stack"]))
-def test_catalogue(folder, name):
-    text, texts = CATALOGUES[name]
-    options, load = given.with_catalogue(folder, text)
-    path = given.write(folder, "can0 [7FF 2A]", "can0 [210 00*32]")
-    done = tshark.run(*load, "-r", path, "-o", "yapp.all_extended:TRUE", "-V", limits=limits, **options)
-    lines = [line for line in done.stderr.splitlines() if line.startswith("yapp: ")]
-    for one in texts:
-        assert any(one in line for line in lines), [line[:300] for line in lines]
-    assert all("taurus_fields.lua" in line and len(line) < 1000 for line in lines)
-    assert "Lua Error" not in done.stdout and "Yet Another Packet Protocol" in done.stdout
-    if not name.startswith(UNREADABLE):
-        assert "Taurus Good" in done.stdout and "F: 42" in done.stdout
-
-
-NONSENSE = ["5", "-1", "0.5", "2^53", "2^1000", "0/0", "1/0", "'x'", "''", "true", "false", "{}", "{ {} }", "print",
-            "io.stdout", "coroutine.create(print)", "setmetatable({}, { __index = _G })", "('x'):rep(300)", "'%s%n'",
-            "'a\\0b'", "'\\255'", "'\\237\\160\\128'", "'\\194'", "'\\27[2J'"]
-KEYS = ["e.name", "e.title", "e.id", "e.size", "e.info", "e[1]", "e[1][1]", "e[1][2]", "e[1][3]", "e[1].unit",
-        "e[1].values", "e[1].flags", "e[1].group", "e[1].alarm", "e[1].invalid", "e[1].min", "e[1].max", "e[2][2]",
-        "e[2].min", "e[2].max"]
-
-
-@pytest.mark.parametrize("keys", [KEYS, *(pytest.param([key], marks=levels.deep) for key in KEYS)], ids=lambda keys: keys[0])
-def test_wrong_types(folder, keys):
-    """Each part of a message as anything else; the message beside it is decoded."""
-    wrong = [(key, value) for key in keys for value in NONSENSE]
-    entries = "".join(
-        f"do local e = {{ name = 'm{i}', title = 'M', id = {i}, size = 2, info = '{{f}}', {{ 'f', 'uint8', 'F' }}, "
-        f"{{ 'g', 'float8', 'G', min = 0, max = 1 }} }}; {key} = {value}; t[#t + 1] = e end\n"
-        for i, (key, value) in enumerate(wrong, 1))
-    options, load = given.with_catalogue(folder, f"local t = {{ {GOOD_ENTRY} }}\n{entries}\nreturn t")
-    path = given.write(folder, "can0 [7FF 2A]", *(f"can0 [{i:X} 01 02]" for i in range(1, len(wrong) + 1)))
-    for arguments in (("-V",), ("-2", "-T", "fields", "-e", "taurus")):
-        done = tshark.run(*load, "-r", path, "-o", "yapp.all_extended:TRUE", *arguments, check=False, limits=limits,
-                          **options)
-        assert "Lua Error" not in done.stdout and "Dissector bug" not in done.stderr
-        if arguments == ("-V",):
-            assert "Taurus Good" in done.stdout and "F: 42" in done.stdout
-            assert done.returncode == 0
-
-
-@levels.deep
-@levels.by_version
-def test_as_many_messages_as_there_are_ids(folder):
-    options, load = given.with_catalogue(folder, "local t = {} for i = 1, 2048 do t[i] = { name = 'm' .. i, "
-                                         "title = 'M', id = i - 1, size = 1, { 'f', 'uint8', 'F' } } end return t")
-    path = given.write(folder, "can0 [0 2A]", "can0 [7FF 2B]", "can0 [210 2C]")
-    done = tshark.run(*load, "-r", path, "-T", "fields", "-e", "taurus.m1.f", "-e", "taurus.m2048.f", "-e",
-                      "taurus.m529.f", "-e", "_ws.lua.error", limits=limits, **options)
-    assert done.stdout == "42\t\t\t\n\t43\t\t\n\t\t44\t\n"
-    assert "yapp: " not in done.stderr
 
 
 # Wireshark's own memory ----------------------------------------------------------------------------------------------

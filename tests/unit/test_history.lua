@@ -23,11 +23,6 @@ local function int64(n)
   return table.concat(bytes)
 end
 
--- A payload of Motor Data of which only the clock counts.
-local function around(clock)
-  return ("a"):rep(MOTOR.time.offset) .. clock .. ("b"):rep(MOTOR.size - MOTOR.time.offset - 8)
-end
-
 -- The same source for the same name, message and bus.
 local sources = {}
 local function source_of(name, message, bus)
@@ -42,8 +37,9 @@ local function motor(number, time, with)
   local clock = with.clock or time
   return { source = source_of(with.source or 0x210, MOTOR, with.bus), seq = with.seq or 0,
     key = number, time = time, status = with.ends or "good",
-    payload = around(int64(math.floor(clock * 1e9 + 0.5))),
-    raws = { [STATUS.index] = with.status or 0, [FAULT.index] = with.fault or 0,
+    payload = tostring(clock),
+    raws = { [MOTOR.time.index] = int64(math.floor(clock * 1e9 + 0.5)),
+      [STATUS.index] = with.status or 0, [FAULT.index] = with.fault or 0,
       [STATE.index] = with.state or 0 } }
 end
 
@@ -355,7 +351,8 @@ function T.test_nothing_is_kept_of_messages_that_change_nothing()
   local m = motor(1, 0)
   local function note(first, last)
     for i = first, last do
-      m.key, m.time, m.seq, m.payload = i, i * 0.1, i % 256, around(int64(i * 1e8))
+      m.key, m.time, m.seq, m.payload = i, i * 0.1, i % 256, tostring(i)
+      m.raws[MOTOR.time.index] = int64(i * 1e8)
       h:add(m, true)
     end
   end

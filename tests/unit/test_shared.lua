@@ -44,8 +44,8 @@ local function message(number, time, clock, with)
     key = number,
     time = time,
     status = "good",
-    payload = ("a"):rep(kind.time.offset) .. nanoseconds .. (with.rest or number),
-    raws = { [FAULTS] = with.fault or 0 },
+    payload = nanoseconds .. (with.rest or number),
+    raws = { [FAULTS] = with.fault or 0, [kind.time.index] = nanoseconds },
   }
 end
 
@@ -151,7 +151,7 @@ function T.test_clocks_in_pairs()
   end
   lu.assertEquals(shared_at(pairs_of { "left", "right" }), 4)
   lu.assertEquals(shared_at(pairs_of { "same", "same" }), 6) -- or every message came twice
-  local without_period = { id = 1, time = { offset = 0 }, flag_fields = {} }
+  local without_period = { id = 1, time = { index = 1 }, flag_fields = {} }
   lu.assertNil(shared_at(clocks(0.01, { 5.0, 5.0, 5.1, 5.1, 5.2, 5.2 }, { kind = without_period })))
 end
 

@@ -11,23 +11,24 @@ local concat, format = table.concat, string.format
 
 local MAX_KEPT = 100 -- bytes of a payload in local variables: a function has up to 200
 
--- The reader of a message is made from Lua source: a loop over the fields takes 5 % more of a
+-- The reader of a message is made from Lua source: a loop over the fields takes 15 % more of a
 -- packet list.  The first bytes of a payload are in b1, b2, ...; a missing one is nil.
 local READER = [[
-local FIELDS, KINDS, byte, band, add = ...
+local FIELDS, KINDS, byte, add_remarks = ...
 return function(payload)
 local %s = byte(payload, 1, %d)
 local raws, remarks, a = { %s }, false
 %s
 return raws, remarks
 end]]
-local REMARK = "if a and %s then remarks = add(remarks, %d, %q, %s) end"
+local REMARK = "a = raws[%d] if a and %s then remarks = add_remarks(remarks, FIELDS[%d], a) end"
 
--- Return the raw value of the i-th field, a, as source: nil if the payload ends before it.
+-- Return the raw value of the i-th field as source: nil if the payload ends before it.
 local function raw_source(field, i)
   local last, value = field.offset + field.size, {}
   if last > MAX_KEPT or field.size > 6 or field.bottom ~= 0 then
-    return format("#payload >= %d and KINDS[%d].read(FIELDS[%d], payload) or nil", last, i, i)
+    local read = "#payload >= %d and KINDS.%s.read(FIELDS[%d], payload) or nil"
+    return format(read, last, field.kind, i)
   end
   for j = 1, field.size do
     value[j] = format("b%d * %.0f", field.offset + j, 0x100 ^ (j - 1))
@@ -35,29 +36,31 @@ local function raw_source(field, i)
   return format("b%d and %s", last, concat(value, " + "))
 end
 
-local function add_remark(remarks, index, expert, is_undefined)
+-- Return the condition under which a, the raw value of the i-th field, is remarkable, as source.
+local function remark_source(field, i)
+  if field.flags then return "a > 0" end
+  if field.values then return format("not FIELDS[%d].values[a]", i) end
+  if field.invalid then return "a > 1" end
+  if field.ordinary then return format("a > %.0f", field.ordinary) end
+  return field.special and "a - a ~= 0"
+end
+
+local function add_remark(remarks, field, expert, is_undefined)
   remarks = remarks or {}
-  remarks[#remarks + 1] = { index, expert, is_undefined }
-  if expert == "fault.active" then remarks.has_fault = true end
+  remarks[#remarks + 1] = { field.index, expert, is_undefined }
   return remarks
 end
 
--- Add the lines that add the remarks of the i-th field.
-local function add_remark_lines(lines, field, i)
-  local function add(condition, expert, is_undefined)
-    lines[#lines + 1] = format(REMARK, condition, i, expert, is_undefined)
+-- Add the remarks about a raw value; return all.
+local function add_remarks(remarks, field, raw)
+  if field.invalid then return add_remark(remarks, field, field.invalid, true) end
+  if not field.flags then return add_remark(remarks, field, "value.special", false) end
+  if band(raw, field.alarm_bits) ~= 0 then
+    remarks = add_remark(remarks, field, "fault.active", false)
+    remarks.has_fault = true
   end
-  lines[#lines + 1] = format("a = raws[%d]", i)
-  if field.values then add(format("not FIELDS[%d].values[a]", i), field.invalid, true) end
-  if field.kind == "bool" then add("a > 1", field.invalid, true) end
-  if field.kind == "float" then add(format("a > %.0f", field.ordinary), "value.special", false) end
-  if field.kind == "ieee" then add("a - a ~= 0", "value.special", false) end
-  local function add_bits(mask, expert, is_undefined)
-    if mask > 0 then add(format("a > 0 and band(a, %.0f) ~= 0", mask), expert, is_undefined) end
-  end
-  if not field.flags then return end
-  add_bits(field.alarm_bits, "fault.active", false)
-  add_bits(field.undefined, "flags.undefined", true)
+  if band(raw, field.undefined) == 0 then return remarks end
+  return add_remark(remarks, field, "flags.undefined", true)
 end
 
 --- Make the reader of a message type.
@@ -67,16 +70,17 @@ end
 --            the remarkable values, false for none: a list of { index of field, expert, whether the
 --            catalogue does not define the value }, with has_fault = true if a fault flag is set
 function M.new_reader(message_type)
-  local kinds, names, raws, lines = {}, {}, {}, {}
+  local names, raws, lines = {}, {}, {}
   for i, field in ipairs(message_type.fields) do
-    kinds[i], raws[i] = field_kinds.BY_NAME[field.kind], raw_source(field, i)
-    add_remark_lines(lines, field, i)
+    local condition = remark_source(field, i)
+    raws[i] = raw_source(field, i)
+    if condition then lines[#lines + 1] = format(REMARK, i, condition, i) end
   end
   for i = 1, math.min(message_type.size, MAX_KEPT) do names[i] = "b" .. i end
   local source =
     format(READER, concat(names, ", "), #names, concat(raws, ",\n"), concat(lines, "\n"))
   local make = load(source, "=reader of " .. message_type.name)
-  return make(message_type.fields, kinds, string.byte, band, add_remark)
+  return make(message_type.fields, field_kinds.BY_NAME, string.byte, add_remarks)
 end
 
 --- Return whether bytes look like a message: all its values are defined, and at least two of its

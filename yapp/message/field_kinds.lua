@@ -12,7 +12,7 @@ local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
-local format, sub = string.format, string.sub
+local format = string.format
 
 --- The reserved values of compressed floats, from the highest count down ("YAPP Float
 -- Compression").  The index is the value of <field>.special.
@@ -71,12 +71,7 @@ end
 function M.text(field, raw)
   local value, special = M.value(field, raw)
   if type(value) ~= "number" then return value, special end
-  if field.shape then return format(field.shape, value) end
-  -- COMPAT 5.2: tostring has 14 digits
-  if field.kind ~= "ieee" then return format("%.0f", value) end
-  if field.size == 4 then value = binary.shortest(value) end
-  local text = format("%.15g", value)
-  return tonumber(text) == value and text or format("%.17g", value)
+  return format(field.shape or "%.0f", value) -- COMPAT 5.2: tostring has 14 digits
 end
 
 --- Return the value of a field as a number: NaN where that is none, such as a reserved value.
@@ -99,14 +94,11 @@ end
 -- The kinds --------------------------------------------------------------------------------------
 
 local function read_integer(field, payload)
-  local index, size = field.offset + 1, field.size
-  if size > 6 then return binary.integer64(payload, index, size, field.bottom < 0) end
-  local count = binary.count(payload, index, size)
-  return count > field.top and count - 2 * (field.top + 1) or count
+  return binary.integer(payload, field.offset + 1, field.size, field.bottom < 0)
 end
 
 local function read_bytes(field, payload)
-  return sub(payload, field.offset + 1, field.offset + field.size)
+  return payload:sub(field.offset + 1, field.offset + field.size)
 end
 
 local OPERATORS = {
@@ -195,7 +187,7 @@ M.BY_NAME = {
     column = "time",
     unit = "s",
     read = read_bytes,
-    value = function(_, raw) return binary.seconds(binary.time(raw, 0)) end,
+    value = function(_, raw) return binary.seconds(binary.time(raw)) end,
   },
   -- A text ends at its first NUL.  A character that cannot be shown is \xnn.
   string = {

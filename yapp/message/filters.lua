@@ -54,9 +54,7 @@ end
 
 -- Add the filters of a state of message.history.
 local function add_state(message_type, add)
-  -- Prefer a field of nothing but faults: so filters keep their names if a flag of another field
-  -- becomes a fault.
-  local fault, states = message_type.fault_field or message_type.alarms[1], message_type.states
+  local fault, states = message_type.alarms[1], message_type.states
   local filter, answered = message_type.filter, message_type.answers
   if message_type.time then
     states.drift = add(filter .. ".clock_drift", "RELATIVE_TIME", "Clock drift",
@@ -99,6 +97,7 @@ function M.add(message_type, reserved, context)
   local taken, filters = {}, {}
   local function add(filter, ...)
     input.demand(not (taken[filter] or reserved[filter]), "the filter name %s is taken", filter)
+    input.demand(filter:find("^[a-z0-9_.]+$"), "%q is no filter name (a-z, 0-9, _)", filter)
     taken[filter] = true
     table.insert(message_type.filters, { filter, ... })
     filters[#filters + 1] = filter

@@ -104,8 +104,9 @@ end
 -- without one.
 local function clock_of(message)
   local field = message.raws and message.source.type.time
-  if not field or #message.payload < field.offset + 8 then return nil end
-  local seconds, nanoseconds = binary.time(message.payload, field.offset)
+  local raw = field and message.raws[field.index]
+  if not raw then return nil end
+  local seconds, nanoseconds = binary.time(raw)
   return seconds * 1e9 + nanoseconds
 end
 

@@ -20,8 +20,8 @@ local KINDS = field_kinds.BY_NAME
 
 -- A text is written in pieces, each {
 --   before  text before the value
---   index   of the field; nil for a value that is worked out from all raw values
---   write   function(raw) -> text; where index is nil, it takes all raw values
+--   index   of the field; nil for a derived value
+--   write   function(raw) -> text; of a derived value, function(raws)
 --   absent  the text of a missing field
 --   number, shape  of a compressed float: function(raw) -> its value, nil for a reserved one; and
 --           its format }
@@ -77,37 +77,30 @@ local function info_writer(field, shape)
   end
 end
 
--- Return the piece of a field, and the text of its unit if that follows.
--- rest  the text behind its name: ":%.1f unit"
-local function info_piece(message_type, before, name, rest)
-  local field = message_type.by_name[name]
-  input.demand(field, "info names a field %s that is not there", input.shown(name))
-  local shape, unit = rest:match("^:?(%S*)(.*)$")
-  if shape == "" then shape = "%.4g" end
-  format(shape, 0.5) -- raises an error in it
-  local has_fraction = field.special or field.scale
-  return {
-    before = before,
-    index = field.index,
-    number = field.number,
-    shape = field.number and shape,
-    write = info_writer(field, has_fraction and shape),
-    absent = "-",
-  }, unit ~= "" and " " .. field.unit or ""
-end
-
 --- Compile the text of a message's values in Info.
 -- text     "{name:%.1f unit}" is "47.3 V"; "{name}" is without the unit, and with as many digits as
 --          make sense
 -- returns  function(raws) -> text.  It raises errors.
 function M.compile_info(message_type, text)
-  local pieces, unit, index = {}, "", 1
-  for from, name, rest, to in text:gmatch("(){([%w_]+)([^}]*)}()") do
-    local before = unit .. text:sub(index, from - 1)
-    pieces[#pieces + 1], unit = info_piece(message_type, before, name, rest)
-    index = to
+  local pieces = {}
+  local function find(name)
+    return input.demand(message_type.by_name[name], "info names a field %q that is not there", name)
   end
-  pieces.after = unit .. text:sub(index)
+  text = text:gsub("{([%w_]+)(%S*) unit}", function(name, shape)
+    return ("{%s%s} %s"):format(name, shape, find(name).unit)
+  end)
+  for before, name, given in text:gmatch("([^{]*){([%w_]+):?([^}]*)}") do
+    local field, shape = find(name), given == "" and "%.4g" or given
+    pieces[#pieces + 1] = {
+      before = before,
+      index = field.index,
+      number = field.number,
+      shape = field.number and shape,
+      write = info_writer(field, field.shape and shape),
+      absent = "-",
+    }
+  end
+  pieces.after = text:match("[^}]*$")
   return new_writer(pieces)
 end
 
@@ -136,20 +129,16 @@ function M.fault_names(field, raw)
   return M.flag_names(field, band(raw or 0, field.alarm_bits))
 end
 
---- Return the text of the Info column about the faults that are set:
--- "FAULT motor_overcurrent, faulted", "" for none.
+--- Return the names of all faults that are set in a message: "motor_overcurrent, faulted", "" for
+-- none.
 -- raws  of the message's reader
 function M.faults(message_type, raws)
-  local text, word = "", nil
+  local texts = {}
   for _, field in ipairs(message_type.alarms) do
     local names = M.fault_names(field, raws[field.index])
-    if names ~= "" then
-      local before = ", "
-      if field.fault_word ~= word then before = (word and "  " or "") .. field.fault_word .. " " end
-      text, word = text .. before .. names, field.fault_word
-    end
+    if names ~= "" then texts[#texts + 1] = names end
   end
-  return text
+  return concat(texts, ", ")
 end
 
 -- CSV --------------------------------------------------------------------------------------------
@@ -172,7 +161,11 @@ end
 
 -- Return the fields and derived values of a message.
 local function fields_of(message_type)
-  return joined(message_type.fields, message_type.derived)
+  local list = joined(message_type.fields)
+  for _, item in ipairs(message_type.generated) do
+    if not item.is_difference then list[#list + 1] = item end
+  end
+  return list
 end
 
 --- List the columns of a message, in order.

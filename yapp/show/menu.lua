@@ -97,7 +97,7 @@ end
 function M.register(prefs, catalogue, show_statistic)
   local fault_fields = {}
   for _, message_type in ipairs(catalogue.messages) do
-    local field = message_type.fault_field or message_type.alarms[1]
+    local field = message_type.alarms[1]
     if field then fault_fields[#fault_fields + 1] = field.filter end
   end
   for _, row in ipairs(FILTERS) do

@@ -82,7 +82,7 @@ local function new_adder(value)
 end
 
 ADD.text = new_adder(value_of)
-ADD.time = new_adder(function(_, raw) return NSTime.new(binary.time(raw, 0)) end)
+ADD.time = new_adder(function(_, raw) return NSTime.new(binary.time(raw)) end)
 
 -- Flags, with those of their ProtoFields that are wanted.
 function ADD.flags(field, fields)
@@ -181,29 +181,14 @@ end
 
 -- Faults ------------------------------------------------------------------------------------------
 
--- Append the names of the faults among a field's flags to a list.
-local function append_faults(names, field, raw)
-  local faults = fault_names(field, raw)
-  if faults ~= "" then names[#names + 1] = faults end
-end
-
--- Return the names of the faults that are set in a message: "motor_overcurrent, faulted", "" for
--- none.
-local function active_faults(message)
-  local names = {}
-  for _, field in ipairs(message.source.type.alarms) do
-    append_faults(names, field, message.raws[field.index])
-  end
-  return table.concat(names, ", ")
-end
-
 -- Return the names of the faults that changed.
 -- change  of a message, or false
 -- way     "raised" or "cleared"
 local function changed_faults(change, way)
   local names = {}
   for _, flags in ipairs(change and change.flags or NONE) do
-    append_faults(names, flags.field, flags[way])
+    local faults = fault_names(flags.field, flags[way])
+    if faults ~= "" then names[#names + 1] = faults end
   end
   return table.concat(names, ", ")
 end
@@ -212,7 +197,7 @@ end
 -- "[Faults: none; hall_timeout cleared here]".
 -- returns  its item, nil for none
 local function add_faults(message, top)
-  local active, here = active_faults(message), ""
+  local active, here = text_of.faults(message.source.type, message.raws), ""
   for _, way in ipairs(WAYS) do
     local names = changed_faults(message.change, way)
     if names ~= "" then
@@ -227,7 +212,9 @@ end
 -- "FAULT faulted  cleared motor_overcurrent, hall_timeout  ".
 local function faults_text(message)
   local text, cleared = "", changed_faults(message.change, "cleared")
-  if message.has_fault then text = text_of.faults(message.source.type, message.raws) .. "  " end
+  if message.has_fault then
+    text = "FAULT " .. text_of.faults(message.source.type, message.raws) .. "  "
+  end
   return cleared == "" and text or text .. "cleared " .. cleared .. "  "
 end
 

@@ -169,7 +169,7 @@ local function clock_of(event)
   local field = event.raws and event.source.type and event.source.type.time
   local bytes = field and event.raws[field.index]
   if not bytes then return nil end
-  local seconds, nanoseconds = binary.time(bytes, 0)
+  local seconds, nanoseconds = binary.time(bytes)
   return seconds + nanoseconds / 1e9
 end
 

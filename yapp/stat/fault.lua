@@ -264,9 +264,12 @@ local function message_row(card, event)
     names[i] = field.name
     values[field.name] = not KINDS[field.kind].is_text and tonumber(text) or text
   end
-  local text = text_of.faults(message_type, event.raws) .. "  " .. message_type.info(event.raws)
+  local text, faults = message_type.info(event.raws), text_of.faults(message_type, event.raws)
   local row = output.row(event.source, {
-    values = { json = output.object(names, values).json, text = text:match("^ *(.*)") },
+    values = {
+      json = output.object(names, values).json,
+      text = faults == "" and text or "FAULT " .. faults .. "  " .. text,
+    },
   })
   return new_row(card, event, row)
 end
