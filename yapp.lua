@@ -4,17 +4,15 @@
 -- says how to use the plugin.
 
 local VERSION = "3.0.0"
-local EXIT_UNDECIDED = 21 -- as in stat.output, which may not load
 local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
+local this = ("%syapp.lua (%s)"):format(here, VERSION)
 
--- If there are two copies, in the plugin folder and by -X, or by -X twice, only the first one
--- loads.
+-- If there are two copies, in the plugin folder and by -X, only the first one loads.
 local loaded = package.loaded["yapp.plugin"]
 if loaded then
-  local text = "yapp: %syapp.lua (%s) is not loaded: %s (%s) is already there; remove or update " ..
-    "one of the two"
-  io.stderr:write(text:format(here, VERSION, loaded.path, loaded.version), "\n")
-  return loaded
+  io.stderr:write("yapp: ", this, " is not loaded: ", loaded, " is already there; remove or ",
+    "update one of the two\n")
+  return
 end
 set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
   description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }
@@ -24,26 +22,24 @@ set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
 -- source made from numbers does not compile.
 os.setlocale("C", "numeric")
 
--- Find modules beside this file: in package.path a folder cannot have ";" or "?" in its name.
+-- Find modules beside this file, also when Wireshark has set package.path anew.
 table.insert(rawget(package, "searchers"), 2, function(name)
   if not name:find("^yapp%.") then return nil end
-  local path = here .. name:gsub("%.", "/") .. ".lua"
-  local ok, chunk, why = pcall(loadfile, path) -- Wireshark's raises the error, without the path
-  return ok and chunk or error(why or path .. ": " .. chunk, 0)
+  return assert(loadfile(here .. name:gsub("%.", "/") .. ".lua"))
 end)
 
-local binary = require "yapp.message.binary"
 local captures = require "yapp.capture.capture"
+local can_id = require "yapp.wire.can_id"
 local can_ids = require "yapp.host.can_ids"
 local compiler = require "yapp.message.catalogue"
 local field_kinds = require "yapp.message.field_kinds"
 local file_readers = require "yapp.file.readers"
 local frame = require "yapp.wire.frame"
+local header_reader = require "yapp.host.header"
 local joined = require "yapp.base.joined"
 local message_types = require "yapp.message.types"
 local preferences = require "yapp.host.preferences"
 local show_fields = require "yapp.show.fields"
-local header_reader = require "yapp.host.header"
 local source_names = require "yapp.message.sources"
 local stat_names = require "yapp.stat.names"
 
@@ -53,27 +49,21 @@ local stat_names = require "yapp.stat.names"
 -- default profile's preference is read from its file.
 local function read_chosen_file()
   local file = io.open(Dir.personal_config_path("preferences"))
-  if not file then return nil end
-  local text = "\n" .. file:read("*a")
-  file:close()
-  return text:match("\nyapp%.messages:[ \t]*([^%s][^\r\n]*)")
+  local text = file and "\n" .. file:read("*a") or ""
+  return text:match("\nyapp%.messages:[ \t]*([^%s][^\r\n]*)") or ""
 end
-local chosen_file = read_chosen_file()
+local chosen_files = { read_chosen_file(), os.getenv("YAPP_MESSAGES") or "" }
 
-local function load_catalogue()
-  local files = { { path = here .. "taurus_fields.lua" },
-    { path = Dir.personal_config_path("yapp_messages.lua"), optional = true } }
-  for _, path in ipairs { chosen_file or "", os.getenv("YAPP_MESSAGES") or "" } do
-    if path ~= "" then files[#files + 1] = { path = path } end
-  end
-  local compiled, problems = compiler.load(files, show_fields.EXPERT_NAMES)
-  preferences.complain(problems)
-  return compiled, #problems == 0
+local catalogue_files = { { path = here .. "taurus_fields.lua" },
+  { path = Dir.personal_config_path("yapp_messages.lua"), optional = true } }
+for _, path in ipairs(chosen_files) do
+  if path ~= "" then table.insert(catalogue_files, { path = path }) end
 end
+local catalogue, mistakes = compiler.load(catalogue_files, show_fields.EXPERT_NAMES)
+preferences.complain(mistakes)
 
 -- Protocols and preferences -----------------------------------------------------------------------
 
-local catalogue, is_whole = load_catalogue()
 local yapp = Proto("yapp", "Yet Another Packet Protocol")
 local all = Proto("yapp_all", "YAPP (all extended frames)")
 local serial = Proto("yapp_serial", "YAPP serial stream")
@@ -82,7 +72,7 @@ local taurus = Proto("taurus", "Taurus motor controller")
 local headers = header_reader.new(Proto("yapp_socketcan", "YAPP reads CAN headers"))
 local tcp_header = Proto("yapp_tcp", "YAPP reads TCP headers")
 local usb_header = Proto("yapp_usb", "YAPP reads USB headers")
-local preference_rows = preferences.define(yapp, catalogue, field_kinds, frame.MAX_ID)
+local preference_rows = preferences.define(yapp, catalogue.messages)
 
 local buses = captures.watch()
 local types = message_types.new(catalogue)
@@ -125,7 +115,7 @@ local calls = { begun = 0, ended = 0 }
 local function counted(call)
   return function(...)
     calls.begun = calls.begun + 1
-    if not streams then make_reading() end
+    make_reading()
     local result = call(...)
     calls.ended = calls.ended + 1
     return result
@@ -143,10 +133,9 @@ function make_reading()
   local show_wants = require "yapp.show.wants"
   local stream_dissector = require "yapp.host.stream"
   -- Nothing calls this dissector, as YAPP shows the Taurus messages.  It must exist, because the
-  -- API asks by dissector whether a protocol is wanted (see show.wants).  When Wireshark ends, it
-  -- looks for each dissector of ours in all its tables, so a start takes longer with more of them.
+  -- API asks by dissector whether a protocol is wanted (see show.wants).
   function taurus.dissector() return 0 end
-  reading = reading_of.new(types, buses, function(...) ids:register_start(...) end)
+  reading = reading_of.new(types, buses, function(id) ids:register(id, can_id.START) end)
   wants = show_wants.new(catalogue.messages, taurus_fields)
   local view = show_view.new {
     yapp = yapp,
@@ -166,14 +155,6 @@ function make_reading()
     counted = counted,
   }
   reset_reading()
-end
-
--- Return the options of tshark that decode YAPP in packets in which none was found, and the number
--- of headers that these have, 0 if it is not known.
-local function find_options()
-  local found, options, count = buses.found, streams:undecoded_options()
-  if not found.has_serial_frames or streams:has_serial() then return options, count end
-  return joined(found:serial_options(), options), count
 end
 
 -- Dissectors --------------------------------------------------------------------------------------
@@ -233,17 +214,12 @@ local function search_streams()
   register_heuristic("udp", serial, find_by_content)
 end
 
--- Return the controller's own time of a frame in a raw dump ("Nanoseconds since boot"), nil for
--- none.
-local function controller_time(bytes)
-  local id, size = frame.parse(bytes, 1)
-  local message = types:type_of(id)
-  local time = message and message.time
-  if not time or size < math.max(message.min_size, time.offset + 8) then return nil end
-  if #bytes < frame.HEADER + size then return nil end
-  local first = frame.HEADER + time.offset + 1
-  local seconds, nanoseconds = binary.time(bytes:sub(first, first + 7))
-  if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
+-- Return the options of tshark that decode YAPP in packets in which none was found, and the number
+-- of headers that these have, 0 if it is not known.
+local function find_options()
+  local options, count = streams:undecoded_options()
+  if not buses.found.has_serial_frames or streams:has_serial() then return options, count end
+  return joined(buses.found:serial_options(), options), count
 end
 
 local function make_statistics()
@@ -276,25 +252,21 @@ local function make_statistics()
   }
 end
 
--- Begin the statistic of an argument of -z.  Wireshark swallows an error here.
+-- Begin the statistic of an argument of -z.
 local function begin_statistic(text)
-  local ok, why = pcall(make_statistics)
-  if not ok then
-    io.stderr:write("yapp: cannot load the plugin: ", why, "; install it again\n")
-    os.exit(EXIT_UNDECIDED)
-  end
+  make_statistics()
   stat:begin(text)
 end
 
 -- Preferences and files ---------------------------------------------------------------------------
 
 -- List all that makes the answer of a statistic incomplete: a catalogue or preferences with
--- mistakes, and a file with messages that was not read, which is said once.
+-- mistakes, and a file with messages that was not read.
 -- wrong  list of errors in preferences
 local function list_problems(wrong)
   local problems, file = {}, yapp.prefs.messages
-  if not is_whole then problems[1] = "the catalogue did not load whole" end
-  if file ~= "" and file ~= chosen_file and file ~= os.getenv("YAPP_MESSAGES") then
+  if mistakes[1] then problems[1] = "the catalogue did not load whole" end
+  if file ~= "" and file ~= chosen_files[1] and file ~= chosen_files[2] then
     problems[#problems + 1] = file .. ", the file with your own messages, was not read"
     preferences.complain_once { file .. " is read at the next start, if the default profile " ..
       "names it; for one run set the environment variable YAPP_MESSAGES to it" }
@@ -315,8 +287,11 @@ local function read_preferences()
   local link_types = preferences.register_link_types(prefs.user_dlt, serial)
   local wrong = joined(clashes, unread, no_number, link_types)
   preferences.complain_once(wrong)
-  local hidden = { source = prefs.hide_source, values = prefs.hide_values }
-  types:use(by_id, sources, hidden, function(id) ids:register_id(id) end)
+  types:use(by_id, sources, {
+    several_buses = buses:are_several(),
+    hides_source = prefs.hide_source,
+    hides_values = prefs.hide_values,
+  }, function(id) ids:register(id, 0) end)
   settings.accepts_all = prefs.all_extended
   if settings.accepts_all then watch_unclaimed() end
   settings.late, settings.ids = late, chosen
@@ -327,10 +302,9 @@ yapp.prefs_changed = read_preferences
 
 function yapp.init()
   calls.begun, calls.ended = 1, 0
-  read_preferences()
   buses:init()
+  read_preferences()
   headers:reset()
-  types:reset(buses:are_several())
   if stat then stat:reset() end
   if streams then reset_reading() end
   if yapp.prefs.search_all or buses.found.may_have_frames then search_streams() end
@@ -363,7 +337,10 @@ file_readers.register {
     make_reading()
     return reading:new_framer { is_patient = true }
   end,
-  time_of = controller_time,
+  time_of = function(bytes)
+    local id, size = frame.parse(bytes, 1)
+    return types:time_of(id, bytes:sub(frame.HEADER + 1, frame.HEADER + size))
+  end,
 }
 
 -- Collect garbage earlier and faster than Lua does by default: a long capture takes less memory and
@@ -372,4 +349,4 @@ file_readers.register {
 pcall(collectgarbage, "setpause", 150)
 pcall(collectgarbage, "setstepmul", 1000)
 
-package.loaded["yapp.plugin"] = { version = VERSION, path = here .. "yapp.lua" }
+package.loaded["yapp.plugin"] = this

@@ -3,7 +3,6 @@
 import os
 import pathlib
 import shutil
-import struct
 import uuid
 
 import levels
@@ -178,36 +177,3 @@ def test_unreadable_catalogue(home):
     (plugin / "taurus_fields.lua").chmod(0)
     done = tshark.run(*script(plugin), "-r", CAPTURE, plugin=False, env={"HOME": str(home)})
     assert "taurus_fields.lua" in done.stderr and "Permission denied" in done.stderr and "YAPP" in done.stdout
-
-
-@levels.each_once
-@pytest.mark.parametrize("module", ["can/reassembly", "stat/check", "show/taurus"])
-@pytest.mark.parametrize("is_installed", [True, False])
-@pytest.mark.parametrize("is_missing", [True, False])
-def test_a_module_that_does_not_load(home, module, is_installed, is_missing):
-    """A capture without YAPP needs none of these.  A statistic says which one does not load, and ends with 21."""
-    clone = tshark.copy_plugin(home / "clone", tshark.ROOT)
-    path = clone / f"yapp/{module}.lua"
-    if is_missing:
-        path.unlink()
-    else:
-        path.write_text("local x = = 1\n")
-    folder = tshark.install_plugin(home / "installed", clone) if is_installed else clone
-    for path in [home, *home.rglob("*")]:
-        path.chmod(0o755 if path.is_dir() else 0o644)
-    others = home / "others.pcap"  # a frame with an id of eleven bits
-    others.write_bytes(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 227) + struct.pack("<IIII", 1, 0, 16, 16) +
-                       struct.pack(">II", 0x123, 8 << 24) + bytes(8))
-    others.chmod(0o644)
-
-    def run(*arguments):
-        done = tshark.run(*script(folder), *arguments, plugin=False, env={"HOME": str(home)}, check=False, lua_errors=True)
-        lines = [line for line in done.stderr.splitlines() if not line.startswith("Running as user")]
-        return done.returncode, lines, done.stdout
-
-    code, lines, _ = run("-q", "-r", CAPTURE, "-z", "yapp,check")
-    assert code == 21 and any(module in line and "cannot load" in line for line in lines), (code, lines)
-    code, lines, _ = run("-r", others)
-    assert (code, lines) == (0, [])
-    _, _, shown = run("-r", CAPTURE, "-Y", "_ws.lua.error")
-    assert bool(shown) == (module != "stat/check")  # a packet list needs the others

@@ -247,9 +247,9 @@ def test_adding_a_message_is_adding_an_entry(folder):
                       "-e", "taurus.fault.active", **options)
     rows = [[{"True": "1", "False": "0"}.get(value, value) for value in line.split("\t")]
             for line in done.stdout.splitlines()]
-    assert [row[0] for row in rows[:3]] == ["FAULT hot, cold  ESC Status 0x7a0  On  50.0 %",
-                                            "FAULT undefined 0x2  cleared hot, cold  ESC Status 0x7a0  invalid 0x2  NaN %",
-                                            "ESC Status 0x7a1  Off  0.0 %"]  # two IDs carry it
+    assert [row[0] for row in rows[:3]] == ["FAULT hot, cold  ESC Status  On  50.0 %",
+                                            "FAULT undefined 0x2  cleared hot, cold  ESC Status  invalid 0x2  NaN %",
+                                            "ESC Status 0x7a1  Off  0.0 %"]
     assert rows[0][1:8] == ["0x01", "50", "", "0x8001", "1", "1", "4660"]
     assert rows[1][1:8] == ["0x02", "", "0", "0x0002", "0", "0", "0"]
     assert [[bool(value) for value in row[8:]] for row in rows[:3]] == [

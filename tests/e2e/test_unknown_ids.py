@@ -47,24 +47,6 @@ def test_an_id_that_does_not_begin_with_0_waits_for_it(tmp_path):
     assert shown(write(tmp_path / "unknown.pcap", messages)) == messages[2:]
 
 
-def test_behind_the_first_64_ids_a_long_gap_is_said(tmp_path):
-    """The CAN ids of 65 IDs: the plugin registers those of the last one some ahead of its Seq No."""
-    ids, late = range(0x300, 0x341), range(100, 256)
-    in_a_row = [(ident, seq) for seq in range(60) for ident in ids]
-    near, far = [(ids[-1], seq) for seq in range(76, 79)], [(ids[-1], seq) for seq in (*late, 0, 1)]
-    path = write(tmp_path / "unknown.pcap", in_a_row + near)
-    assert shown(path) == in_a_row + near
-    path = write(tmp_path / "unknown.pcap", [row for row in in_a_row if row[1] < 4] + far)
-    assert shown(path)[-2:] == far[-2:] and len(shown(path)) == 4 * 65 + 2
-    missing = tshark.fields(path, ["yapp.id", "yapp.seq", "yapp.seq.missing"], "-Y", "yapp.seq.missing")
-    assert missing == [["0x00000340", "0", "252"]]
-    answer = tshark.run("-r", path, "-q", "-z", "yapp,summary").stdout
-    assert f"{4 * 65 + len(late) + 2} messages were not decoded" in answer
-    path = write(tmp_path / "unknown.pcap", [(ids[0], seq) for seq in range(4)] + [(ident, 0) for ident in ids[1:]] +
-                 [(ids[0], seq) for seq in late])
-    assert shown(path) == [(ids[0], seq) for seq in range(4)] + [(ident, 0) for ident in ids[1:]] + [(ids[0], seq) for seq in late]
-
-
 @pytest.mark.parametrize("passes", [(), ("-2",)])
 def test_a_frame_that_another_dissector_takes(passes):
     """A Command of 8 bytes is AUTOSAR's to a heuristic of Wireshark's; with Decode As it is YAPP's, and counts once."""

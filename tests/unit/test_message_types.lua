@@ -17,8 +17,7 @@ local function new(text, ids, has_several)
   local parsed, problems = sources.parse(text or "", TAURUS)
   lu.assertEquals(problems, {})
   local r = types_of.new(TAURUS)
-  r:reset(has_several or false)
-  r:use(catalogue.assign(TAURUS, ids or {}), parsed, {}, ignore)
+  r:use(catalogue.assign(TAURUS, ids or {}), parsed, { several_buses = has_several }, ignore)
   return r
 end
 
@@ -68,9 +67,8 @@ function T.test_what_a_source_is_called()
     { "can0=left", true, 0x210, "can1", "can1 0x210", "Motor Data 0x210 (can1)" },
     { "can0/0x210+0x200=left", true, 0x200, "can0", "left", "Health left" },
     { "0x300=tail", false, 0x300, "can0", "tail", "ID 0x300 tail" },
-    { "can1/0x211=motor:", false, 0x211, "can1", "0x211", "Motor Data 0x211 (can1)" },
-    { "can1/0x211=motor:", false, 0x210, "can0", "0x210", "Motor Data 0x210 (can0)" }, -- two IDs carry it
-    { "can1/0x211=motor:", false, 0x210, nil, "0x210", "Motor Data 0x210" },
+    { "can1/0x211=motor:", false, 0x211, "can1", "0x211", "Motor Data 0x211" },
+    { "can1/0x211=motor:", false, 0x210, "can0", "0x210", "Motor Data" },
     { "0x211=motor:", false, 0x200, "can0", "0x200", "Health" },
   } do
     local r = new(row[1], nil, row[2])
@@ -82,7 +80,7 @@ end
 
 function T.test_info_leaves_out_what_a_column_says()
   local r = new("0x210=left, 0x300=tail", { motor = { 0x210, 0x211 } }, true)
-  r:use(r.by_id, r.sources, { source = true }, ignore)
+  r:use(r.by_id, r.sources, { hides_source = true, several_buses = true }, ignore)
   local names = { [0x210] = "Motor Data", [0x211] = "Motor Data", [0x200] = "Health", [0x300] = "ID 0x300" }
   for id, said in pairs(names) do
     local source = r:new_source(id, false, "can1")
@@ -90,7 +88,7 @@ function T.test_info_leaves_out_what_a_column_says()
     lu.assertStrContains(source.label, source.name or "can1")
     lu.assertTrue(source.write == (source.type and source.type.info))
   end
-  r:use(r.by_id, r.sources, { values = true }, ignore)
+  r:use(r.by_id, r.sources, { hides_values = true }, ignore)
   for _, message in ipairs(TAURUS.messages) do
     lu.assertTrue(r:new_source(message.id, false).write == message.info_rest)
   end
@@ -109,7 +107,7 @@ function T.test_the_id_is_told_where_it_is_not_the_default()
   local r = new("", { health = { 0x205 }, motor = { 0x210, 0x211 } })
   local function label(id, bus) return r:new_source(id, false, bus).label end
   lu.assertEquals({ label(0x205), label(0x205, "can0"), label(0x210), label(0) },
-    { "Health 0x205", "Health 0x205 (can0)", "Motor Data 0x210", "Command" })
+    { "Health 0x205", "Health 0x205", "Motor Data", "Command" })
 end
 
 function T.test_the_name_that_the_user_gave()
@@ -132,13 +130,22 @@ function T.test_sizes_of_two_firmwares()
   lu.assertEquals({ source.size, source.min_size }, { 32, 30 })
 end
 
--- A sender in UDP or TCP has the name of its address, or of its interface.
+-- A sender in UDP or TCP has the name of its address.
 function T.test_what_a_sender_is_called()
-  local line = { label = "…12:40000", interface = "eth0" }
-  local function source(text) return new(text, nil, true):new_source(0x211, false, "192.168.1.12:40000", line) end
-  lu.assertEquals({ source("").text, source("192.168.1.12/0x211=left").text, source("eth0/0x211=motor:right").text },
-    { "…12:40000 0x211", "left", "right" })
-  lu.assertEquals({ name(source("").type), name(source("eth0/0x211=motor:right").type) }, { "none", "motor" })
+  local line = { label = "…12:40000" }
+  local function text(sources_text)
+    return new(sources_text, nil, true):new_source(0x211, false, "192.168.1.12:40000", line).text
+  end
+  lu.assertEquals({ text(""), text("192.168.1.12/0x211=left") }, { "…12:40000 0x211", "left" })
+end
+
+-- The time of a message in a raw dump is its controller's.
+function T.test_the_time_of_a_message()
+  local r, second = new(), "\0\202\154\59\0\0\0\0"
+  local function time(id, payload) return { r:time_of(id, payload) } end
+  lu.assertEquals(time(0x200, second .. ("\0"):rep(9)), { 1, 0 })
+  lu.assertEquals(time(0x200, ("\255"):rep(17)), {}) -- before its boot
+  lu.assertEquals({ time(0x200, second:sub(1, 7)), time(0, second), time(0x123, second) }, { {}, {}, {} })
 end
 
 return T

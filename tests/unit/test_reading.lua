@@ -40,8 +40,8 @@ local function new_capture(with)
     stamps = stamps_of.new(),
     is_time_real = function() return true end,
   }
-  types:use(catalogue_of.assign(TAURUS, {}), (sources.parse("", TAURUS)), {}, function() end)
-  types:reset(with and with.several or false)
+  types:use(catalogue_of.assign(TAURUS, {}), (sources.parse("", TAURUS)),
+    { several_buses = with and with.several }, function() end)
   local reading, events = reading_of.new(types, buses, function() end), {}
   local options = { late = 3, catalogue = TAURUS, buses = buses }
   reading:reset(options)

@@ -18,7 +18,7 @@ function T.tearDown() events_of.append = append end
 
 local SOURCE = { key = 1, id = 1, type = { alarms = {} } }
 local SETTINGS = { late = 2.5, ids = {}, sources_text = "", catalogue = { messages = {} },
-  sources = { list = function() return {} end } }
+  sources = { rows = {} } }
 
 local function new_queue()
   return run_of.new(SETTINGS, stamps_of.new())

@@ -10,7 +10,7 @@ local COMMAND, MOTOR = { name = "command" }, { name = "motor", answers = "comman
 local function new(named)
   local types = { messages = { COMMAND, MOTOR } }
   function types.type_of(_, id) return ({ [0] = COMMAND, [0x210] = MOTOR })[id] end
-  function types.names_bus(_, bus) return bus == named end
+  types.sources = { names_bus = function(_, bus) return bus == named end }
   function types.new_source(_, id, bus_key, bus) return { id = id, bus_key = bus_key, bus = bus } end
   return lines.new(types, { name = function(_, bus) return bus and "if" .. bus end })
 end

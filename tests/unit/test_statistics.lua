@@ -95,7 +95,7 @@ end
 
 local function settings_of(with)
   local rows, catalogue = with.named or { { id = 0x210, name = "left" } }, with.catalogue or CATALOGUE
-  local sources = { list = function() return rows end }
+  local sources = { rows = rows }
   if with.sources_text then sources = sources_of.parse(with.sources_text, catalogue) end
   local ids = with.ids or {}
   for _, message in ipairs(catalogue.messages) do ids[message.name] = ids[message.name] or { message.id } end

@@ -48,21 +48,19 @@ function M.has_said(text)
 end
 
 --- Give a protocol its preferences.
--- proto      Proto
--- catalogue  compiled
--- field_kinds  the module
--- max_id     the highest message ID
--- returns    a list of rows: { name, constructor, title, default, description, and the
---            constructor's last argument }
-function M.define(proto, catalogue, field_kinds, max_id)
+-- proto     Proto
+-- messages  the message types
+-- returns   a list of rows: { name, constructor, title, default, description, and the
+--           constructor's last argument }
+function M.define(proto, messages)
   local of_messages, periods = {}, {}
-  for i, message in ipairs(catalogue.messages) do
+  for i, message in ipairs(messages) do
     local title, id, period = message.title, ("0x%x"):format(message.id), message.every
     local about = ("The IDs that carry %s; %s by default, which Wireshark shows as %d. Change " ..
       "it if a controller has other IDs, or if several controllers share a bus: %s-0x%x."):format(
       title, id, message.id, id, message.id + 3)
     local label = ("%s message IDs (%s = %d)"):format(title, id, message.id)
-    of_messages[i] = { message.name .. "_ids", "range", label, id, about, max_id }
+    of_messages[i] = { message.name .. "_ids", "range", label, id, about, input.MAX_ID }
     if period then periods[#periods + 1] = ("%s %g s"):format(title, period) end
   end
   local rows = joined(of_messages, {
@@ -95,12 +93,12 @@ function M.define(proto, catalogue, field_kinds, max_id)
       "The plugin finds YAPP in TCP, UDP and USB by itself in live captures, and in files whose " ..
       "first 64 KB have a header. Switch it on if YAPP comes later in your files. It costs " ..
       "about 1 µs for each packet that no other dissector takes." },
-    { "divisor", "enum", "Compressed floats divide by", field_kinds.MAPPING,
+    { "divisor", "enum", "Compressed floats divide by", 5, -- see message.field_kinds
       "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed " ..
       "in the worked examples of the vendor's document (0.4975 A, 749.26 RPM).",
       {
-        { 1, "2^N - 6 (mapping)", field_kinds.MAPPING },
-        { 2, "2^N - 5 (worked examples)", field_kinds.WORKED_EXAMPLES },
+        { 1, "2^N - 6 (mapping)", 5 },
+        { 2, "2^N - 5 (worked examples)", 4 },
       } },
     { "user_dlt", "range", "Link types that carry a serial stream", "",
       "147 to 162, the numbers of DLT_USER0 to DLT_USER15. Set it for serial captures with such " ..
@@ -112,15 +110,13 @@ function M.define(proto, catalogue, field_kinds, max_id)
   return rows
 end
 
---- Return the numbers of a range, each once, in its order.
+--- Return the numbers of a range, in its order.
 -- text  as Wireshark writes a range, "528,768-771": it refuses all else
 function M.parse_range(text)
-  local numbers, is_there = {}, {}
-  for first, last in text:gmatch("(%d+)%-?(%d*)") do
-    for number = tonumber(first), tonumber(last) or tonumber(first) do
-      if not is_there[number] then numbers[#numbers + 1] = number end
-      is_there[number] = true
-    end
+  local numbers = {}
+  for from, to in text:gmatch("(%d+)%-?(%d*)") do
+    local first = tonumber(from)
+    for number = first, tonumber(to) or first do numbers[#numbers + 1] = number end
   end
   return numbers
 end
@@ -134,7 +130,7 @@ function M.parse_late(text)
   return 2.5, { problem:format(text) }
 end
 
-local before_us = {} -- [encapsulation] = its dissector before it was ours, or false
+local given = {} -- [encapsulation that is ours] = its dissector before, or false
 
 --- Give user link types to the serial dissector.  Give back those that the preference no longer
 -- names.
@@ -142,30 +138,23 @@ local before_us = {} -- [encapsulation] = its dissector before it was ours, or f
 -- proto    of the serial dissector
 -- returns  a list of errors
 function M.register_link_types(text, proto)
-  local encapsulations = DissectorTable.get("wtap_encap")
-  local wanted, other = {}, nil
-  for _, dlt in ipairs(M.parse_range(text)) do
-    if dlt < FIRST_DLT then
-      other = other or dlt
-    else
-      wanted[wtap.USER0 + dlt - FIRST_DLT] = true
-    end
+  local encapsulations, problems = DissectorTable.get("wtap_encap"), {}
+  for encapsulation, before in pairs(given) do
+    encapsulations:remove(encapsulation, proto)
+    if before then encapsulations:add(encapsulation, before) end
   end
-  for encapsulation in pairs(wanted) do
-    if before_us[encapsulation] == nil then
-      before_us[encapsulation] = encapsulations:get_dissector(encapsulation) or false
+  given = {}
+  for _, dlt in ipairs(M.parse_range(text)) do
+    local encapsulation = wtap.USER0 + dlt - FIRST_DLT
+    if dlt < FIRST_DLT then
+      local problem = "yapp.user_dlt: link type %d is no DLT_USER; those are 147 to 162"
+      problems[#problems + 1] = problem:format(dlt)
+    else
+      given[encapsulation] = encapsulations:get_dissector(encapsulation) or false
       encapsulations:add(encapsulation, proto)
     end
   end
-  for encapsulation, before in pairs(before_us) do
-    if not wanted[encapsulation] then
-      encapsulations:remove(encapsulation, proto)
-      if before then encapsulations:add(encapsulation, before) end
-      before_us[encapsulation] = nil
-    end
-  end
-  local problem = "yapp.user_dlt: link type %d is no DLT_USER; those are 147 to 162"
-  return other and { problem:format(other) } or {}
+  return problems
 end
 
 return M

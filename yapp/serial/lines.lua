@@ -40,7 +40,6 @@ local function new_line(bus, bus_key)
     bus_key = bus_key, -- of a Command and its answers
     label = bus, -- text that tells its sources apart, nil if nothing does
     receiver = false, -- of UDP and TCP: the bus of the Commands
-    interface = nil, -- of UDP and TCP: the name of its interface, or nil
     has_address = false, -- true if its packets have a sender
     is_tcp = false,
     is_datagram = false, -- of UDP
@@ -56,7 +55,7 @@ end
 local function bus_of(self, address, port)
   local shape = address:find(":", 1, true) and "[%s]:%d" or "%s:%d"
   local with_port = shape:format(address, port)
-  return self.types:names_bus(with_port) and with_port or address
+  return self.types.sources:names_bus(with_port) and with_port or address
 end
 
 -- Return a text for one direction of a conversation on a bus.
@@ -77,7 +76,6 @@ function Lines:of(kind, from, port, to, to_port, bus)
     local name = bus_of(self, from, port)
     line = new_line(name, name)
     line.receiver, line.has_address = bus_of(self, to, to_port), true
-    line.interface = self.buses:name(nil, true)
     line.is_tcp, line.is_datagram = kind == M.TCP, kind == M.UDP
     local opposite = self.by_key[key_of(kind, to, to_port, from, port, bus)]
     if opposite then line.conversation = opposite.conversation end

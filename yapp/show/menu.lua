@@ -73,8 +73,10 @@ end
 -- Ask for a name, in the text of the whole preference, which can be changed.
 local function ask_name(values, sources, catalogue)
   local bus, id = bus_of(values), tonumber(values["yapp.id"]:match("%d+"))
-  if not source_names.parse(sources, catalogue):has_part(bus, id) then
-    sources = sources .. (sources == "" and "" or ", ") .. source_names.address_text(bus, id) .. "="
+  local _, _, part = source_names.parse(sources, catalogue):find(bus, id)
+  if not part or bus and not part.bus then
+    if sources ~= "" then sources = sources .. ", " end
+    sources = ("%s%s0x%x="):format(sources, bus and bus .. "/" or "", id)
   end
   new_dialog("YAPP Name this controller", function(answer)
     if not answer:find("=%s*$") then preferences.set { sources = answer } end

@@ -154,7 +154,7 @@ local function has_come(self, row)
 end
 
 local function count_absences(self, ending)
-  for _, row in ipairs(self.settings.sources:list()) do
+  for _, row in ipairs(self.settings.sources.rows) do
     if row.type and not has_come(self, row) then
       self:count(kinds.new_event("absent", nil, ending.last, row))
     end

@@ -242,7 +242,7 @@ local of_kind = {}
 
 function of_kind.absent(_, rule, check)
   local names, is_named = {}, rule.is_default
-  for _, row in ipairs(check.context.settings.sources:list()) do
+  for _, row in ipairs(check.context.settings.sources.rows) do
     if row.type and M.is_of(rule, row) then
       is_named = true
       names[#names + 1] = check.absent[row] and (row.name or output.bus_and_id(row)) or nil
