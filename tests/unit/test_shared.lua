@@ -138,23 +138,6 @@ function T.test_dumps()
   end
 end
 
--- Two controllers whose clocks are the same, on buses that were merged: messages in pairs.
-function T.test_clocks_in_pairs()
-  local function pairs_of(rests)
-    local messages = {}
-    for i = 0, 11 do
-      local turn = math.floor(i / 2)
-      local time = turn * 0.1 + i % 2 * 0.01
-      messages[i + 1] = message(i + 1, time, 5 + turn * 0.1, { rest = rests[i % 2 + 1] })
-    end
-    return messages
-  end
-  lu.assertEquals(shared_at(pairs_of { "left", "right" }), 4)
-  lu.assertEquals(shared_at(pairs_of { "same", "same" }), 6) -- or every message came twice
-  local without_period = { id = 1, time = { index = 1 }, flag_fields = {} }
-  lu.assertNil(shared_at(clocks(0.01, { 5.0, 5.0, 5.1, 5.1, 5.2, 5.2 }, { kind = without_period })))
-end
-
 -- From there on: nothing of this source, everything of the others.
 function T.test_the_history_is_silent_from_there_on()
   local h, seen, number = new(), {}, 0

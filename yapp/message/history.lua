@@ -79,11 +79,10 @@ local function new_source(self, message)
     -- The previous good message with a clock:
     clock = nil, -- the controller's, nanoseconds
     clock_time = nil, -- seconds of the capture
-    payload = nil,
     -- Since then:
     faults = faults_of.new(),
-    -- See is_shared.  The controller's clock falls when it goes back or stops.  Later it may return
-    -- to the lead over the capture's clock that it had before the fall.
+    -- See is_shared.  The controller's clock falls when it goes back.  Later it may return to the
+    -- lead over the capture's clock that it had before the fall.
     lead = 0, -- seconds that it gained on the capture's clock since its first fall
     falls = {}, -- { lead before it, size }, the latest first; none from which the clock returned
     evidence = 0,
@@ -110,68 +109,45 @@ local function clock_of(message)
   return seconds * 1e9 + nanoseconds
 end
 
--- Add evidence if the clock is back where it would be without a fall.
-local function add_evidence(source)
-  for i, fall in ipairs(source.falls) do
-    if math.abs(source.lead - fall.lead) <= math.min(fall.size, LARGE_FALL) / 4 then
-      source.evidence = source.evidence + (fall.size < LARGE_FALL and 1 or LARGE_RETURN)
-      table.remove(source.falls, i)
-      return
-    end
-  end
-end
-
 -- Return whether a message proves that several controllers share its source.  Their clocks
 -- alternate:
 --   100.0, 7.2, 100.1, 7.3      it falls by 92.8, returns to where it would be, falls: proved
 --   100.0, 99.8, 100.1, 99.9    small falls: a late message makes one, so a third one proves it
---   100.0, 100.0, 100.1, 100.1  the same clock again within a third of a period is a fall, too: a
---                               large one, or a small one if the whole message is the same
--- After a reboot, the clock does not return.  A clock that stops is the same after a whole period.
+-- After a reboot, the clock does not return.
 -- advance, elapsed  seconds of the controller's and of the capture's clock since source.clock
-local function is_shared(source, message, advance, elapsed)
-  local lead, falls, size = source.lead, source.falls, elapsed - advance
-  source.lead = lead - size
-  source.evidence = source.evidence * FADE
-  if advance > 0 then
-    add_evidence(source)
-    return false
-  elseif advance == 0 then
-    if elapsed >= source.period / 3 then return false end
-    size = message.payload == source.payload and source.period or LARGE_FALL
+local function is_shared(source, advance, elapsed)
+  local before, falls = source.lead, source.falls
+  local lead = before + advance - elapsed
+  source.lead, source.evidence = lead, source.evidence * FADE
+  if advance < 0 then
+    insert(falls, 1, { lead = before, size = before - lead })
+    falls[5] = nil -- up to four controllers fall from one to the next before they return
+    return source.evidence > ENOUGH
   end
-  insert(falls, 1, { lead = lead, size = size })
-  falls[5] = nil -- up to four controllers fall from one to the next before they return
-  return source.evidence > ENOUGH
-end
-
--- Return the seconds of the capture's clock since source.clock.  If it has none, trust the
--- controller's clock unless that jumps: then take the message to come after a period.
-local function elapsed_since(source, time, advance)
-  if source.has_clock then return time - source.clock_time end
-  return advance > 0 and advance <= MAX_JUMP and advance or source.period
-end
-
--- Return whether the capture's clock goes back by the same time as the controller's: the packets
--- are not in the order of time, as in two logs one behind the other.  That is no reboot.
-local function did_both_go_back(source, advance, elapsed)
-  if advance >= 0 or elapsed >= 0 or not source.has_clock then return false end
-  return math.abs(advance - elapsed) <= -elapsed / 4
+  for i, fall in ipairs(falls) do
+    if math.abs(lead - fall.lead) <= math.min(fall.size, LARGE_FALL) / 4 then
+      source.evidence = source.evidence + (fall.size < LARGE_FALL and 1 or LARGE_RETURN)
+      table.remove(falls, i)
+      return false
+    end
+  end
 end
 
 -- Return the change of the controller's clock: its name and its value; nil for nothing.
-local function clock_change(source, message, time, clock)
+local function clock_change(source, time, clock)
   local advance = (clock - source.clock) / 1e9
-  local elapsed = elapsed_since(source, time, advance)
-  if did_both_go_back(source, advance, elapsed) then return nil end
-  local may_be_shared = advance <= 0 or source.lead ~= 0
-  if may_be_shared and is_shared(source, message, advance, math.max(elapsed, 0)) then
+  -- If the capture has no clock, trust the controller's unless that jumps.
+  local elapsed = advance > 0 and advance <= MAX_JUMP and advance or source.period
+  if source.has_clock then elapsed = time - source.clock_time end
+  -- If both go back alike, the packets are not in the order of time.
+  if advance < 0 and advance >= 1.25 * elapsed then return nil end
+  local may_be_shared = advance < 0 or source.lead ~= 0
+  if may_be_shared and is_shared(source, advance, math.max(elapsed, 0)) then
     return "shared", true
   end
   if advance < 0 then return "reboot", -advance end
   if advance == 0 then return "stale", true end
   local jump = advance - elapsed
-  -- If the capture's own clock went back, it is no measure of the controller's.
   if jump > MAX_JUMP and elapsed >= 0 and source.has_clock then return "jump", jump end
 end
 
@@ -187,12 +163,12 @@ end
 local function detect_clock(source, message, _, _, time, clock)
   if not clock then return nil end
   local name, value = nil, nil
-  if source.clock then name, value = clock_change(source, message, time, clock) end
+  if source.clock then name, value = clock_change(source, time, clock) end
   if source.has_times and (name == "reboot" or not source.clock) then
     insert(source.base_keys, message.key)
     insert(source.bases, clock / 1e9 - time)
   end
-  source.clock, source.clock_time, source.payload = clock, time, message.payload
+  source.clock, source.clock_time = clock, time
   return name, value
 end
 
