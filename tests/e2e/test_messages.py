@@ -91,7 +91,7 @@ VALUES = {
     "scaled.gradient": "-98 -3236.8 3189.2",
     "word.word": "0x0000 0x8ff0 0x0010 0x7009", "word.word.armed": "0 1 0 0", "word.word.load": "0 1 1 0",
     "word.word.undefined": "- - - 0x00007009", "word.gear": "0x00 0x07 0x02 0x01",
-    "text.on": "0 1 1 0", "text.key": "00010203 fffe7f80 00000000 00000000",
+    "text.on": "0x00 0x01 0x02 0x00", "text.key": "00010203 fffe7f80 00000000 00000000",
 }
 
 
@@ -134,7 +134,7 @@ FILTERS = [
     ("word", "taurus.fault.active", [2, 3, 4]), ("word", "taurus.word.word.armed == 1", [2]),
     ("word", "taurus.word.word.undefined", [4]), ("word", "taurus.word.word == 0x0010", [3]),
     ("scaled", "taurus.scaled.gradient == -98", [1]), ("word", "taurus.word", [1, 2, 3, 4]),
-    ("text", 'taurus.text.name == "ESC 1"', [1]), ("text", "taurus.text.on == 1", [2, 3]),
+    ("text", 'taurus.text.name == "ESC 1"', [1]), ("text", "taurus.text.on == 1", [2]),
     ("text", "taurus.text.key == ff:fe:7f:80", [2]),
 ]
 
@@ -229,7 +229,7 @@ def test_an_error_names_file_message_and_field_and_the_rest_works(folder):
 def test_an_unknown_option_is_one_message(folder):
     text = ENTRY.format(name="mine", title="Mine", ident=5).replace('"One"', '"One", units = "V"')
     _, said = loaded(folder, {"yapp_messages.lua": text})
-    assert len(said) == 1 and 'message mine, field one: unknown option "units"; type uint8 has alarm, flags,' in said[0]
+    assert len(said) == 1 and 'message mine, field one: unknown option "units"; a row has alarm, flags,' in said[0]
 
 
 def test_no_catalogue_at_all(folder):

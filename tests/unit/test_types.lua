@@ -83,7 +83,6 @@ local LIMITS = {
   { "int16", { scale = 0.1, unit = "°C" }, "97ff", "-10.5" }, { "int16", { scale = 0.1 }, "0300", "0.3" },
   { "uint8", { scale = 0.5, offset = -40 }, "00", "-40" }, { "uint8", { offset = -50 }, "ff", "205" },
   { "int32", { scale = 1e-7 }, "b168de3a", "98.7654321" }, { "uint64", { scale = 0.001 }, "e803000000000000", "1" },
-  { "bool", {}, "00", "0" }, { "bool", {}, "01", "1" }, { "bool", {}, "02", "1", "f value.invalid" },
   { "uint8", { values = { [1] = "one, two" } }, "01", '1,"one, two"' },
   { "uint8", { values = { [1] = "one" } }, "02", "2,", "f value.invalid" },
   { "int8", { values = { [-1] = "lost" } }, "ff", "-1,lost" },
@@ -208,7 +207,7 @@ function T.test_payloads_that_are_shorter()
   local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 17, min_size = 1,
     info = "{a} {t} {s} {k}", { "a", "uint8", "A", values = { [1] = "One" } }, { "t", "int64_ns", "T" },
     { "s", "string", "S", length = 2 }, { "f", "uint8", "F", group = "g", flags = { { "x", 1, "X" } } },
-    { "k", "bool", "K" }, { "z", "uint32", "Z" } } }
+    { "k", "uint8", "K" }, { "z", "uint32", "Z" } } }
   lu.assertEquals(problems, {})
   local m, payload = compiled.messages[1], bytes("01" .. "00ca9a3b00000000" .. "6162" .. "30" .. "01" .. "05000000")
   local rows = { [1] = "1,One,,,,,,", [8] = "1,One,,,,,,", [9] = "1,One,1.000000000,,,,,",
@@ -216,7 +215,7 @@ function T.test_payloads_that_are_shorter()
     [13] = "1,One,1.000000000,ab,48,0,1,", [16] = "1,One,1.000000000,ab,48,0,1,",
     [17] = "1,One,1.000000000,ab,48,0,1,5" }
   for length, row in pairs(rows) do lu.assertEquals(row_of(m, payload:sub(1, length)), row, length) end
-  local infos = { [1] = "One - - -", [9] = "One 1.000000000 s - -", [17] = "One 1.000000000 s ab true" }
+  local infos = { [1] = "One - - -", [9] = "One 1.000000000 s - -", [17] = "One 1.000000000 s ab 1" }
   for length, text in pairs(infos) do
     local raws = m.read(payload:sub(1, length))
     lu.assertEquals({ m.info(raws), text_of.faults(m, raws) }, { text, "" })
@@ -232,7 +231,7 @@ function T.test_names_of_columns_that_are_taken()
 end
 
 function T.test_types_of_columns()
-  local m = message(32, { "a", "bool", "A" }, { "b", "int64_ns", "B" }, { "c", "string", "C", length = 2 },
+  local m = message(31, { "b", "int64_ns", "B" }, { "c", "string", "C", length = 2 },
     { "d", "bytes", "D", length = 2 }, { "e", "uint8", "E", unit = "m" },
     { "f", "uint8", "F", scale = 0.5, unit = "K" },
     { "g", "float32", "G" }, { "h", "float8", "H", min = 0, max = 1, unit = "V" }, { "i", "int8", "I", values = {} },
@@ -241,7 +240,7 @@ function T.test_types_of_columns()
   for i, column in ipairs(text_of.columns(m)) do
     found[i] = ("%s %s %s"):format(column.name, column.type, column.unit or "-")
   end
-  lu.assertEquals(found, { "a bool -", "b time s", "c string -", "d string -", "e integer m", "f float K", "g float -",
+  lu.assertEquals(found, { "b time s", "c string -", "d string -", "e integer m", "f float K", "g float -",
     "g_special string -", "h float V", "h_special string -", "i integer -", "i_text string -", "j integer -",
     "j_x bool -" })
 end
@@ -306,7 +305,7 @@ end
 function T.test_info_of_every_kind()
   local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 31,
     info = "{a} {b:%.1f} {c} {d} {e} {f:%.2f} {g} {h}", { "a", "int8", "A" }, { "b", "int16", "B", scale = 0.1 },
-    { "c", "bool", "C" }, { "d", "string", "D", length = 3 }, { "e", "bytes", "E", length = 2 },
+    { "c", "uint8", "C", values = { "true" } }, { "d", "string", "D", length = 3 }, { "e", "bytes", "E", length = 2 },
     { "f", "float32", "F" }, { "g", "uint64", "G" }, { "h", "int64_ns", "H" }, { "i", "padding", length = 2 } } }
   lu.assertEquals(problems, {})
   local m = compiled.messages[1]

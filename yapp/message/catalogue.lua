@@ -16,7 +16,7 @@
 --   states: the filters of its state, { [its name in message.history] = filter }
 --   read (see message.decode), info and, beside columns, info_rest (see message.text)
 -- A field has name, title, filter, filters (a list of it and those below it), index (in fields),
--- offset, size in bytes, type, unit and section or nil, shape (a format with as many digits as its
+-- offset, size in bytes, type, unit or nil, shape (a format with as many digits as its
 -- count can carry; nil for integers), and kind, with the values that its kind needs:
 --   uint, int  bottom, top (lowest and highest count); values, invalid (its expert item)
 --   scaled     the same, and scale, zero: value = count * scale + zero
@@ -24,7 +24,7 @@
 --              nothing defines), alarm_bits (mask: bits that are faults)
 --   float      compressed: min, max, top, ordinary (the highest count that is not reserved), number
 --              (function(raw) -> value)
---   ieee, bool, string, bytes, time
+--   ieee, string, bytes, time
 
 local band = require "yapp.base.bits".band
 local decode = require "yapp.message.decode"
@@ -40,51 +40,44 @@ local M = {}
 
 -- Types of fields and options --------------------------------------------------------------------
 
--- [name] = { kind, size in bytes (nil: the row's length), bottom, top, options }
+-- [name] = { kind, size in bytes (nil: the row's length), bottom, top }
 local TYPES = {
-  bool = { kind = "bool", size = 1, bottom = 0, top = 1, options = set "section" },
-  int64_ns = { kind = "time", size = 8, options = set "section" },
-  string = { kind = "string", options = set "section length" },
-  bytes = { kind = "bytes", options = set "section length" },
-  padding = { kind = "padding", options = set "length" },
-  float64 = { kind = "ieee", size = 8, options = set "section unit" },
+  int64_ns = { kind = "time", size = 8 },
+  string = { kind = "string" },
+  bytes = { kind = "bytes" },
+  padding = { kind = "padding" },
+  float64 = { kind = "ieee", size = 8 },
 }
 
-local function add_type(kind, size, bottom, top, options)
-  TYPES[kind .. 8 * size] = {
-    kind = kind,
-    size = size,
-    -- COMPAT 5.4: powers are floats there, which are printed with a ".0".
-    bottom = math.floor(bottom),
-    top = math.floor(top),
-    options = set(options),
-  }
+-- COMPAT 5.4: powers are floats there, which are printed with a ".0".
+local function add_type(kind, size, bottom, top)
+  TYPES[kind .. 8 * size] =
+    { kind = kind, size = size, bottom = math.floor(bottom), top = math.floor(top) }
 end
 
 for size = 1, 8 do
-  local span, options = 2 ^ (8 * size), "section unit scale offset"
-  local code = size <= 4 and " values invalid" or "" -- COMPAT 5.2: bits are those of four bytes
-  local flags = size <= 4 and " flags group alarm" or ""
-  add_type("int", size, -span / 2, span / 2 - 1, options .. code)
-  add_type("uint", size, 0, span - 1, options .. code .. flags)
+  local span = 2 ^ (8 * size)
+  add_type("int", size, -span / 2, span / 2 - 1)
+  add_type("uint", size, 0, span - 1)
 end
-for _, size in ipairs { 1, 2, 4 } do
-  add_type("float", size, 0, 2 ^ (8 * size) - 1, "section unit min max")
-end
+for _, size in ipairs { 1, 2, 4 } do add_type("float", size, 0, 2 ^ (8 * size) - 1) end
 
 local MESSAGE_OPTIONS = set("name title section id size min_size info info_rest every answers " ..
   "enables speed differences derived")
+local FIELD_OPTIONS = set "unit scale offset values invalid flags group alarm min max length"
+local FLAG_OPTIONS = set "help alarm"
 
 -- Raise that an option is not known, or cannot be shown.
--- what     the owner of the options: "flag stopped", "type uint8"
+-- what     the owner of the options: "a flag"
 -- options  { [name] = true } of the options that there are
 -- count    how many values without a name it has
 local function check(row, what, options, count)
   for key, value in pairs(row) do
-    demand(options[key] or type(key) == "number" and key <= count, "unknown option %s; %s has %s",
-      input.shown(key), what, input.names(options))
-    demand(type(value) ~= "string" or input.is_text(value), "%s has a sign that cannot be shown",
-      key)
+    local is_known = options[key] or type(key) == "number" and key <= count
+    demand(is_known, "unknown option %s; %s has %s", input.shown(key), what,
+      is_known or input.names(options))
+    local is_shown = type(value) ~= "string" or input.is_text(value)
+    demand(is_shown, "%s has a sign that cannot be shown", key)
   end
 end
 
@@ -95,7 +88,7 @@ local function add_flags(message_type, field, row)
   field.group = message_type.filter .. "." .. row.group
   field.undefined, field.alarm_bits = field.top, row.alarm and field.top or 0
   for i, flag in ipairs(row.flags) do
-    check(flag, "a flag", set "help alarm", 3)
+    check(flag, "a flag", FLAG_OPTIONS, 3)
     local name, mask = flag[1], flag[2]
     local taken = mask - band(mask, field.undefined)
     demand(taken == 0, "%s: bit 0x%X is another's, or not in the field", name, taken)
@@ -116,7 +109,7 @@ end
 -- min and max make a compressed float of the bytes; without them float32 is IEEE 754's.
 local function add_range(field, row)
   if field.size == 4 and not row.min then
-    field.kind, field.bottom, field.shape = "ieee", nil, "%.7g"
+    field.kind, field.bottom, field.top, field.shape = "ieee", nil, nil, "%.7g"
     return
   end
   field.min, field.max = row.min + 0.0, row.max + 0.0 -- COMPAT 5.4: see add_meaning
@@ -149,13 +142,11 @@ local function add_field(message_type, row, definition, offset, size)
     top = definition.top,
     bottom = definition.bottom,
     unit = row.unit,
-    section = row.section or message_type.section,
     index = #message_type.fields + 1,
   }
   if field.kind == "float" then add_range(field, row) end
   if field.kind == "ieee" then field.shape = field.shape or "%.15g" end
   if field.shape then field.special = field.filter .. ".special" end
-  if field.kind == "bool" then field.invalid = "value.invalid" end
   if field.kind == "time" then message_type.time = message_type.time or field end
   add_meaning(message_type, field, row)
   message_type.fields[field.index], message_type.by_name[field.name] = field, field
@@ -169,7 +160,7 @@ local function compile_fields(message_type, rows, context)
     context.field = row[1] or i
     local definition = TYPES[row[2]]
     demand(definition, "unknown type %s; the types are %s", input.shown(row[2]), input.names(TYPES))
-    check(row, "type " .. row[2], definition.options, 3)
+    check(row, "a row", FIELD_OPTIONS, 3)
     local size = definition.size or row.length
     if definition.kind ~= "padding" then add_field(message_type, row, definition, offset, size) end
     offset = offset + size

@@ -40,7 +40,6 @@ end
 local function remark_source(field, i)
   if field.flags then return "a > 0" end
   if field.values then return format("not FIELDS[%d].values[a]", i) end
-  if field.invalid then return "a > 1" end
   if field.ordinary then return format("a > %.0f", field.ordinary) end
   return field.special and "a - a ~= 0"
 end
@@ -53,7 +52,7 @@ end
 
 -- Add the remarks about a raw value; return all.
 local function add_remarks(remarks, field, raw)
-  if field.invalid then return add_remark(remarks, field, field.invalid, true) end
+  if field.values then return add_remark(remarks, field, field.invalid, true) end
   if not field.flags then return add_remark(remarks, field, "value.special", false) end
   if band(raw, field.alarm_bits) ~= 0 then
     remarks = add_remark(remarks, field, "fault.active", false)
@@ -94,7 +93,7 @@ function M.is_plausible(message_type, payload)
   end
   local checked = 0
   for _, field in ipairs(message_type.fields) do
-    if field.invalid or field.undefined and field.undefined > 0 then checked = checked + 1 end
+    if field.values or field.undefined and field.undefined > 0 then checked = checked + 1 end
   end
   return checked >= 2
 end

@@ -87,8 +87,8 @@ end
 --- Return the highest raw value that is a number, of a field whose raw values are counts and whose
 -- numbers grow in proportion to them: so that a mean of raw values gives the mean.  Nil for others.
 function M.linear_top(field)
-  local is_linear = M.BY_NAME[field.kind].is_linear and (field.scale or 1) > 0
-  return is_linear and field.size <= 6 and (field.ordinary or field.top) or nil
+  local is_linear = field.top and field.size <= 6 and (field.scale or 1) > 0
+  return is_linear and (field.ordinary or field.top) or nil
 end
 
 -- The kinds --------------------------------------------------------------------------------------
@@ -115,10 +115,8 @@ local OPERATORS = {
 --   value    function(field, raw) -> see M.value; nil where the raw value is the value
 --   column   type of its column in CSV and fields.json
 --   unit     of a column without one of its own
---   words    of its values, in Info
 --   code     format of a code in texts; nil: hexadecimal
 --   is_number, is_text
---   is_linear  true if its raw values are counts to which its numbers grow in proportion
 M.BY_NAME = {
   uint = {
     filter = "UINT",
@@ -126,7 +124,6 @@ M.BY_NAME = {
     column = "integer",
     read = read_integer,
     is_number = true,
-    is_linear = true,
   },
   int = {
     filter = "INT",
@@ -135,7 +132,6 @@ M.BY_NAME = {
     read = read_integer,
     code = "%d", -- COMPAT 5.2: a negative number has no hexadecimal text
     is_number = true,
-    is_linear = true,
   },
   scaled = {
     filter = "DOUBLE",
@@ -144,15 +140,6 @@ M.BY_NAME = {
     read = read_integer,
     value = function(field, raw) return raw * field.scale + field.zero end,
     is_number = true,
-    is_linear = true,
-  },
-  bool = {
-    filter = "BOOLEAN",
-    shown = "plain",
-    column = "bool",
-    read = read_integer,
-    value = function(_, raw) return raw == 0 and 0 or 1 end,
-    words = { [0] = "false", "true" },
   },
   -- A compressed float.
   float = {
@@ -165,7 +152,6 @@ M.BY_NAME = {
       return field.number(raw)
     end,
     is_number = true,
-    is_linear = true,
   },
   ieee = {
     filter = "DOUBLE",

@@ -11,13 +11,14 @@ local M = {}
 local DIGITS = { RPM = 0, V = 2, A = 2, W = 0, ["°C"] = 0, ["%"] = 0 }
 
 -- Return the description of a field, a flag or a generated value.
--- item  { title; unit, section, min and max, or nil }
+-- item  { title; unit, min and max, or nil }
 local function describe(message_type, item)
   local text = item.title
   if item.unit then text = text .. " in " .. item.unit end
   if item.min then text = ("%s, %.10g to %.10g"):format(text, item.min, item.max) end
   text = text .. ", of " .. message_type.title
-  if item.section then text = ('%s (section "%s")'):format(text, item.section) end
+  local section = message_type.section
+  if section and not item.operator then text = ('%s (section "%s")'):format(text, section) end
   return text
 end
 
@@ -26,7 +27,7 @@ local function add_flags(message_type, field, about, add)
   add(group .. ".undefined", "UINT32", "Undefined bits", "Bits that nothing defines: " .. about,
     "HEX")
   for _, flag in ipairs(field.flags) do
-    local item = { title = flag.title .. ", one of " .. title, section = field.section }
+    local item = { title = flag.title .. ", one of " .. title }
     local text = describe(message_type, item)
     if flag.help then text = text .. ". " .. flag.help end
     add(flag.filter, "BOOLEAN", flag.title, text, bits, nil, flag.mask)

@@ -133,12 +133,17 @@ local function is_shared(source, advance, elapsed)
   end
 end
 
+-- Return the seconds of the capture's clock since source.clock.  If it has none, trust the
+-- controller's clock unless that jumps: then take the message to come after a period.
+local function elapsed_since(source, time, advance)
+  if source.has_clock then return time - source.clock_time end
+  return advance > 0 and advance <= MAX_JUMP and advance or source.period
+end
+
 -- Return the change of the controller's clock: its name and its value; nil for nothing.
 local function clock_change(source, time, clock)
   local advance = (clock - source.clock) / 1e9
-  -- If the capture has no clock, trust the controller's unless that jumps.
-  local elapsed = advance > 0 and advance <= MAX_JUMP and advance or source.period
-  if source.has_clock then elapsed = time - source.clock_time end
+  local elapsed = elapsed_since(source, time, advance)
   -- If both go back alike, the packets are not in the order of time.
   if advance < 0 and advance >= 1.25 * elapsed then return nil end
   local may_be_shared = advance < 0 or source.lead ~= 0

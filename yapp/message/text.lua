@@ -67,7 +67,7 @@ local SPECIAL_WORDS = { [0] = "NaN", "+inf", "-inf", "above range", "below range
 -- shape  a format for a number with a fraction, or nil
 local function info_writer(field, shape)
   local kind = KINDS[field.kind]
-  local words, unit = field.values or kind.words, kind.unit and " " .. kind.unit or ""
+  local words, unit = field.values, kind.unit and " " .. kind.unit or ""
   local invalid = "invalid " .. (kind.code or "0x%x")
   return function(raw)
     if words then return words[raw] or format(invalid, raw) end
