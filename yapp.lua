@@ -194,7 +194,7 @@ serial.dissector = counted(function(tvb, pinfo, root)
 end)
 
 skipped.dissector = counted(function(tvb, pinfo, root)
-  return streams:dissect_skipped(tvb, pinfo, root)
+  return streams:dissect(tvb, pinfo, root, true)
 end)
 
 -- A conversation becomes YAPP's with its first packet that is YAPP.
@@ -326,7 +326,6 @@ end
 for name, proto in pairs {
   ["can.subdissector"] = all,
   ["tcp.port"] = serial,
-  ["tls.port"] = serial,
   ["udp.port"] = serial,
   ["rtacser.data"] = serial,
 } do
@@ -335,7 +334,7 @@ end
 file_readers.register {
   new_framer = function()
     make_reading()
-    return reading:new_framer { is_patient = true }
+    return reading:new_framer(true)
   end,
   time_of = function(bytes)
     local id, size = frame.parse(bytes, 1)

@@ -18,7 +18,6 @@ import stream_captures
 
 CAPTURES = pathlib.Path(__file__).resolve().parents[1] / "test_captures"
 FINDINGS = CAPTURES / "fuzz"
-TLS = CAPTURES / "cases/tls12_4433.pcapng"  # with its keys
 KINDS = (".pcap", ".pcapng", ".log", ".txt", ".asc", ".yapp", ".bin")
 TEXTS = (".log", ".txt", ".asc")
 
@@ -80,8 +79,8 @@ def flight(rng, _, path):
 
 @functools.lru_cache(None)
 def corpus():
-    return sorted([TLS, *(path for kind in ("can", "serial", "candump", "other") for path in (CAPTURES / kind).iterdir()
-                          if path.suffix in KINDS)])
+    return sorted(path for kind in ("can", "serial", "candump", "other") for path in (CAPTURES / kind).iterdir()
+                  if path.suffix in KINDS)
 
 
 def known_capture(rng, count, path):
@@ -90,7 +89,7 @@ def known_capture(rng, count, path):
     path.write_bytes(known.read_bytes())
     text = known.with_suffix(".frames")
     line = re.search(r"^options (.*)$", text.read_text(), re.M) if text.exists() else None
-    return known.suffix, ["-d", "tls.port==4433,yapp_serial"] if known == TLS else shlex.split(line[1]) if line else []
+    return known.suffix, shlex.split(line[1]) if line else []
 
 
 def by_editcap(rng, count, path):

@@ -698,10 +698,7 @@ def capture(transport, seed, count):
     where, arrive, link, options = TRANSPORTS[transport]
     streams = []
     for number in range(count):
-        data = stream(rng)
-        while link is tcp and b"\xff\xff" in data:  # it may be of telnet, and then a frame waits for more bytes
-            data = stream(rng)
-        streams.append(arrive(rng, data, where(number)))
+        streams.append(arrive(rng, stream(rng), where(number)))
     packets = interleaved(rng, streams)
     note_deltas(packets)
     return Capture(transport, packets, link, options)

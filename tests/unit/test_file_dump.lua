@@ -36,7 +36,7 @@ local function frame(id, payload)
   return text .. le(crc.of(text), 4)
 end
 
-local function new_framer() return framer.new(function() return nil end, { is_patient = true }) end
+local function new_framer() return framer.new(function() return nil end, true) end
 
 -- ID 1 has a time stamp: its first byte, in seconds.
 local function time_of(bytes)

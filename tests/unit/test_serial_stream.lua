@@ -11,7 +11,7 @@ local streams = require("yapp.serial.stream")
 local A, B = generator.frame(5, "message A"), generator.frame(6, "B")
 
 local function unknown() return nil end
-local function new_framer(line) return framer.new(unknown, { may_be_telnet = line and line.is_tcp }) end
+local function new_framer() return framer.new(unknown) end
 local function new() return streams.new(new_framer) end
 
 -- "good 5 @0", "bad 7 in 1,2", "skipped 4 @25", "incomplete 5 @0 -9"
@@ -20,10 +20,10 @@ local function in_words(contents, bytes)
   local list = {}
   for i, finding in ipairs(contents.findings) do
     local text = finding.bytes or bytes:sub(finding.offset + 1, finding.offset + finding.to - finding.from)
-    if not finding.is_telnet then lu.assertEquals(#text, finding.to - finding.from) end
+    lu.assertEquals(#text, finding.to - finding.from)
     local what = finding.status == "skipped" and #text or text:byte(5)
-    local parts, at = finding.packet_keys, finding.offset
-    local where = parts and "in " .. table.concat(parts, ",") or at and "@" .. at or "before"
+    local parts = finding.packet_keys
+    local where = parts and "in " .. table.concat(parts, ",") or finding.bytes and "before" or "@" .. finding.offset
     local missing = finding.missing and " -" .. finding.missing or ""
     list[i] = ("%s %s %s%s"):format(finding.status, what, where, missing)
   end
@@ -88,11 +88,11 @@ function T.test_what_the_capture_cut()
 end
 
 -- "a incomplete 5 of 3": stream, status, ID and last packet of each frame that waits when the capture ends.
-local function unfinished(self)
+local function unfinished(self, may_go_on)
   local list = {}
-  for _, open in ipairs(self:unfinished()) do
+  for _, open in ipairs(self:unfinished(may_go_on)) do
     for _, finding in ipairs(open.findings) do
-      local id = finding.status == "skipped" and finding.to - finding.from or finding.bytes:byte(finding.offset + 5)
+      local id = finding.status == "skipped" and #finding.bytes or finding.bytes:byte(5)
       list[#list + 1] = ("%s %s %d of %d"):format(open.packet.stream, finding.status, id, open.packet.number)
     end
   end
@@ -105,7 +105,7 @@ function T.test_the_capture_ends_before_a_frame()
     { 4, "x" .. A:sub(1, 14), stream = "a" }, { 5, A:sub(15, 17), stream = "a" }, { 6, B:sub(1, 11), stream = "c" } },
     {}, new()
   for i, row in ipairs(rows) do self:add(packet_of(row), true) rows[i].packet = packet_of(row) end
-  lu.assertEquals(unfinished(self), "a incomplete 5 of 5, c skipped 11 of 6")
+  lu.assertEquals(unfinished(self, true), "a incomplete 5 of 5, c skipped 11 of 6")
   for i, row in ipairs(rows) do found[i] = self:is_unfinished(self:find(row.packet), row.packet) end
   lu.assertEquals(found, { false, false, false, false, true, false })
   self = holds({ { 1, A .. B:sub(1, 12), "good 5 @0, 12 wait" } }, { is_datagram = true })
@@ -116,7 +116,7 @@ end
 function T.test_the_capture_ends_before_one_of_two_frames()
   local self = new()
   take(self, { { 1, generator.header(7, 20) .. generator.header(8, 90) .. "12345678", "32 wait" } })
-  lu.assertEquals(unfinished(self), " incomplete 7 of 1")
+  lu.assertEquals(unfinished(self, true), " incomplete 7 of 1")
   take(self, { { 2, "1234", "4 wait" } }) -- now that is a bad one, for which the other has to wait
   lu.assertEquals(unfinished(self), " bad 7 of 2")
 end
@@ -163,7 +163,6 @@ function T.test_datagrams_of_a_byte_stream()
         lu.assertEquals(finding.status, "good", length)
         good = good + 1
       end
-      lu.assertFalse(contents.is_others, length)
     end
     lu.assertEquals(good, 5, length)
   end
@@ -180,28 +179,17 @@ function T.test_datagrams_of_others()
   local function is_others(key, bytes, words)
     local contents = self:add(packet_of { key, bytes, is_datagram = true, is_found = true }, true)
     lu.assertEquals(in_words(contents, bytes), words)
-    lu.assertEquals(self:find(packet_of { key, bytes }) == nil, contents.is_others)
-    return contents.is_others
+    lu.assertEquals(self:find(packet_of { key, bytes }) == nil, contents == nil)
+    return contents == nil
   end
   lu.assertFalse(is_others(1, A, "good 5 @0"))
-  lu.assertTrue(is_others(2, "MAVLink", "skipped 7 @0"))
-  lu.assertTrue(is_others(3, "MAVLINKY", "skipped 7 @0, 1 wait")) -- ends in Y by chance
+  lu.assertTrue(is_others(2, "MAVLink", "nothing"))
+  lu.assertTrue(is_others(3, "MAVLINKY", "nothing")) -- ends in Y by chance
   lu.assertFalse(is_others(4, "text" .. A, "skipped 4 @0, good 5 @4"))
   lu.assertFalse(is_others(5, A:sub(1, 9), "9 wait"))
   lu.assertFalse(is_others(6, A:sub(10, 12), "3 wait"))
   lu.assertFalse(is_others(7, A:sub(13), "good 5 in 5,6,7"))
-  lu.assertTrue(is_others(10, "text", "skipped 4 @0"))
-end
-
--- A serial server in telnet mode; the first frame proves it.
-function T.test_telnet_in_tcp()
-  local frame = generator.frame(5, "\255\255 \255")
-  local twice = frame:gsub("\255", "\255\255")
-  holds({
-    { 1, twice, "good 5 before" },
-    { 2, twice:sub(1, 14), "13 wait", "13 wait, to 3" },
-    { 3, twice:sub(15) .. A, "good 5 in 2,3, good 5 before" },
-  }, { is_tcp = true })
+  lu.assertTrue(is_others(10, "text", "nothing"))
 end
 
 function T.test_bytes_by_themselves()
@@ -240,19 +228,15 @@ local MESSAGE = {}
 for id = 1, 9 do MESSAGE[id] = generator.frame(id, "x") end
 local ALL = table.concat(MESSAGE)
 
--- A row { key, first byte, last byte, says } of ALL as a segment; or { is_syn = true }, a new connection.
+-- A row { key, first byte, last byte, says } of ALL as a segment.
 local LINE = { is_tcp = true, bus = "eth0", conversation = {} }
 local function segments(rows, first_seq)
   local self = new()
   for i, row in ipairs(rows) do
-    if row.is_syn then
-      self:begin_connection(LINE)
-    else
-      local bytes = ALL:sub(row[2], row[3])
-      local packet = packet_of({ row[1], bytes, seq = (first_seq + row[2]) % 0x100000000, epoch = 1000 + row[1] / 100,
-        is_end = row.is_end, line = LINE })
-      lu.assertEquals(in_words(self:add(packet, true), bytes), row[4], "packet " .. i)
-    end
+    local bytes = ALL:sub(row[2], row[3])
+    local packet = packet_of({ row[1], bytes, seq = (first_seq + row[2]) % 0x100000000, epoch = 1000 + row[1] / 100,
+      is_start = row.is_start, is_end = row.is_end, line = LINE })
+    lu.assertEquals(in_words(self:add(packet, true), bytes), row[4], "packet " .. i)
   end
   return self
 end
@@ -282,12 +266,13 @@ local CONNECTIONS = {
   -- one that never comes: the connection ends, another one begins, the capture ends
   { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 35, 51, "skipped 3 before, good 3 @0", is_end = true } }, GAP },
   { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 34, "", is_end = true } }, GAP },
-  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 wait" }, { is_syn = true }, { 3, 1, 17, "good 3 in 2, good 1 @0" } },
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 wait" }, { 3, 1, 0, "good 3 in 2", is_start = true },
+    { 4, 1, 17, "good 1 @0" } },
     GAP },
   { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 wait" } }, GAP },
   -- a connection with the same addresses and numbers
-  { { { 1, 1, 34, "good 1 @0, good 2 @17" }, { is_syn = true }, { 2, 1, 17, "good 1 @0" },
-    { 3, 18, 51, "good 2 @0, good 3 @17" } }, "" },
+  { { { 1, 1, 34, "good 1 @0, good 2 @17" }, { 2, 1, 0, "", is_start = true },
+    { 3, 1, 17, "good 1 @0" }, { 4, 18, 51, "good 2 @0, good 3 @17" } }, "" },
 }
 
 function T.test_segments()
@@ -314,7 +299,7 @@ function T.test_what_waits_when_the_capture_ends()
   lu.assertEquals(unfinished(self), " good 6 of 1,  good 6 of 1,  skipped 25 of 1")
   self = segments({ { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 35, 60, "26 wait" }, { 3, 61, 68, "8 wait" },
     { 4, 61, 68, "8 wait" }, { 5, 86, 102, "17 wait" } }, 0)
-  lu.assertEquals(unfinished(self), " good 3 of 3,  good 4 of 3,  good 6 of 5,  skipped 3 of 5")
+  lu.assertEquals(unfinished(self), " good 3 of 5,  good 4 of 5,  good 6 of 5,  skipped 3 of 5")
 end
 
 -- What is more than 2^20 bytes from the next one, ahead or behind, is of another connection.

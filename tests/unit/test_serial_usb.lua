@@ -33,7 +33,7 @@ local function lines_of(kind, packets)
   local self, list = usb.new(), {}
   for i, packet in ipairs(packets) do
     local part = self:read_packet(kind, packet)
-    list[i] = part and part.name .. " " .. part.bytes .. (part.truncated and " ..." or "") or "nothing"
+    list[i] = part and part.name .. " " .. part.bytes .. (part.length > #part.bytes and " ..." or "") or "nothing"
   end
   return list
 end

@@ -49,19 +49,15 @@ local function call_inner(inner, tvb, pinfo, tree)
   return ok and taken or length
 end
 
--- Dissect a packet.  A tunnel has a packet of the kind in another: behind it the outer one goes on.
+-- Dissect a packet.
 local function dissect(self, tvb, pinfo, tree)
-  local value, number = pinfo.match_uint, pinfo.number
+  local value = pinfo.match_uint
   local inner = self.inner and self.inner[value]
   if not inner then return 0 end
-  local outer = self.number == number and self.header or nil
   local header = self.before(tvb, pinfo, value)
-  self.number, self.header = number, header
+  self.number, self.header = pinfo.number, header
   local taken = call_inner(inner, tvb, pinfo, tree)
-  if self.after then
-    self.header = outer
-    if header then self.after(header, tvb, pinfo, tree) end
-  end
+  if self.after and header then self.after(header, tvb, pinfo, tree) end
   return taken
 end
 
@@ -88,10 +84,10 @@ function Wrapper:stop()
   self.inner, self.number, self.header = nil, nil, nil
 end
 
---- Return whether the header of a packet was read, and what it says.
+--- Return what the header of a packet says, nil if it was not read.
 -- number  of the packet
 function Wrapper:read(number)
-  return self.number == number, self.header
+  return self.number == number and self.header or nil
 end
 
 return M

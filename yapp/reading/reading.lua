@@ -60,9 +60,7 @@ function Reading:reset(options)
   end)
   self.result = records.new_result("other", false) -- of the current frame, used again as that is
   -- Streams:
-  self.streams = streams.new(function(line)
-    return self:new_framer { may_be_telnet = line.is_tcp }
-  end)
+  self.streams = streams.new(function() return self:new_framer() end)
   self.lines = lines.new(self.types, self.buses)
   self.ending = false -- see Reading:finish
 end
@@ -227,27 +225,30 @@ end
 -- Streams -----------------------------------------------------------------------------------------
 
 --- Make a framer for bytes of a capture.
--- options  of serial.framer
-function Reading:new_framer(options)
-  return framer.new(function(id) return self.types:size_of(id) end, options)
+-- is_patient  of serial.framer
+function Reading:new_framer(is_patient)
+  return framer.new(function(id) return self.types:size_of(id) end, is_patient)
+end
+
+-- Begin the result of a transfer in a packet.
+-- index  of its finding
+local function new_transfer_result(self, kind, packet, transfer, index)
+  local source = self.lines:source(packet.line, transfer.id)
+  local frame = records.new_serial_frame(packet, index, source, transfer.seq)
+  return records.new_result(kind, frame), frame
 end
 
 -- Return the result of a finding, with the message that it holds.
 -- index  of the finding in its packet
 local function finding_result(self, packet, finding, index)
-  local transfer, id, seq, anomalies = streams.new_transfer(finding, packet.bytes)
-  local source = self.lines:source(packet.line, id)
-  if finding.status == "skipped" then
-    local of_bytes = records.new_serial_frame(packet, 1, source)
-    local result = records.new_result("skipped", of_bytes)
-    result.transfer, result.length = transfer, transfer.length
-    return result
-  end
-  local frame = records.new_serial_frame(packet, index, source, seq)
-  local result = records.new_result("single", frame)
-  result.transfer, result.anomalies = transfer, anomalies
+  local transfer = streams.new_transfer(finding, packet.bytes)
+  local kind = transfer.status == "skipped" and "skipped" or "single"
+  local result, frame = new_transfer_result(self, kind, packet, transfer, index)
+  result.transfer, result.length = transfer, transfer.length
+  if kind == "skipped" then return result end
   local message, is_usual = self:read_message(frame, transfer)
-  result.message, result.is_usual = message, is_usual and not anomalies
+  result.message, result.anomalies = message, transfer.anomalies
+  result.is_usual = is_usual and not result.anomalies
   return result
 end
 
@@ -270,11 +271,11 @@ end
 -- packet   see host.stream
 -- returns  { results = list of a result for each frame, and for each stretch of bytes of no frame;
 --          pending, leads_to = see serial.stream; is_unfinished = on a revisit:
---          true if the capture ends before the frame that the pending bytes begin }; false for a
+--          true if the capture ends before the frame that the pending bytes begin }; nil for a
 --          datagram of others in a conversation that was found by content
 function Reading:add_packet(packet)
   local contents = self.streams:add(packet, not packet.is_only_pass)
-  return not contents.is_others and new_packet_result(self, packet, contents)
+  return contents and new_packet_result(self, packet, contents)
 end
 
 --- Return the result of Reading:add_packet; nil for a packet that was not added.
@@ -286,7 +287,7 @@ end
 --- Add a packet of a raw dump whose bytes are of no frame.
 -- returns  as of Reading:add_packet
 function Reading:add_skipped(packet)
-  local finding = { status = "skipped", from = 0, to = #packet.bytes, offset = 0 }
+  local finding = { status = "skipped", from = 0, to = #packet.bytes }
   return new_packet_result(self, packet, { findings = { finding }, pending = 0 })
 end
 
@@ -312,11 +313,10 @@ local function waiting_result(self, packet, finding, index, may_go_on)
   if is_skipped and finding.to - finding.from < HEADER then return nil end
   if is_skipped or not (finding.missing or may_go_on) then
     -- The key of no other message: packets have fewer findings than bytes.
-    return finding_result(self, packet, finding, is_skipped and 1 or packet.length + index)
+    return finding_result(self, packet, finding, packet.length + index)
   end
-  local _, id, seq = streams.new_transfer(finding, packet.bytes)
-  local frame = records.new_serial_frame(packet, 1, self.lines:source(packet.line, id), seq)
-  return records.new_result("unfinished", frame)
+  local transfer = streams.new_transfer(finding, packet.bytes)
+  return (new_transfer_result(self, "unfinished", packet, transfer, 1))
 end
 
 --- Return the results that wait when all packets have come: messages that the capture ends
@@ -328,7 +328,7 @@ function Reading:finish(may_go_on)
   if self.ending then return self.ending end
   local list = {}
   finish_frames(self, list)
-  for _, open in ipairs(self.streams:unfinished()) do
+  for _, open in ipairs(self.streams:unfinished(may_go_on)) do
     for i, finding in ipairs(open.findings) do
       list[#list + 1] = waiting_result(self, open.packet, finding, i, may_go_on)
     end

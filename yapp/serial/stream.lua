@@ -19,14 +19,12 @@ local memo = require "yapp.base.memo"
 
 local M = {}
 
-local sub = string.sub
-local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
-
+local HEADER = frame.HEADER
 local MAX_HELD = 16 -- segments behind a gap
 local MAX_DISTANCE = 2 ^ 20 -- a sequence number that differs by more is of a new connection
 
 -- Stands for the contents of a packet of good frames alone: Streams:find reads its bytes anew.
-local PLAIN = { findings = {}, pending = 0 }
+local PLAIN = {}
 
 local Streams = {}
 Streams.__index = Streams
@@ -38,94 +36,43 @@ local function new_stream(framer)
     latest = nil,    -- the latest packet
     held = {},       -- contents of the segments behind a gap, by sequence number
     first_seq = nil, -- of TCP: sequence number of the first byte
-    next_seq = nil,  -- of the next byte; nil before the first segment with one
-    is_over = false, -- of TCP: true if the next segment begins a connection
+    next_seq = nil,  -- of the next byte; nil before the first segment
+  }
+end
+
+local function new_contents(packet, findings)
+  return {
+    key = packet.key,
+    findings = findings,
+    pending = 0,
+    packet = packet, -- nil once its bytes are added
+    overlap = 0,     -- number of its bytes that had come before
+    from = 0,        -- offset in the stream of the others, once they are added
+    to = 0,
   }
 end
 
 --- Make the streams of a capture.
--- new_framer  function(line) -> a serial.framer
+-- new_framer  function() -> a serial.framer
 function M.new(new_framer)
   return setmetatable({
-    reader = new_framer {}, -- of bytes that are complete in themselves, see Streams:split
-    by_line = memo(function(line) return new_stream(new_framer(line)) end),
+    reader = new_framer(), -- of bytes that are complete in themselves, see Streams:split
+    by_line = memo(function() return new_stream(new_framer()) end),
     contents_by_key = {}, -- by frame key: the results of Streams:add
     losses = {}, -- see Streams:drops
   }, Streams)
 end
 
--- Transfers ---------------------------------------------------------------------------------------
-
--- List the errors of a frame, but for its CRC.
-local function anomalies_of(transfer)
-  local list, missing = {}, transfer.missing
-  if missing then
-    local text = "%d of the frame's %d bytes are missing"
-    list[1] = {
-      expert = transfer.status == "truncated" and "truncated" or "fragment.incomplete",
-      text = text:format(missing, HEADER + transfer.size + CRC_SIZE),
-    }
-  end
-  if transfer.reserved ~= 0 then
-    local text = "The reserved bytes are 0x%04x, not 0"
-    list[#list + 1] = { expert = "reserved.nonzero", text = text:format(transfer.reserved) }
-  end
-  return list[1] and list or false
-end
-
---- Make the transfer of a finding.
--- finding  of Streams:add
--- bytes    of its packet
--- returns  the transfer; of a frame also the ID and the Seq No of its header, and its anomalies: a
---          list of { expert, text }, or false.  The transfer is {
---   status       "good", "bad" (CRC), "incomplete", "truncated" (by the capture), "skipped": bytes
---                of no frame
---   size         of the payload, as its header has it; reserved = its reserved bytes
---   payload      the bytes of it that came; all of skipped bytes
---   offset       of the frame in the bytes; length = number of its bytes that came
---   missing      number of bytes to come, nil for none
---   bytes        that hold it if those of its packet do not, or nil
---   packet_keys  of the packets that these came in, or nil
---   crc, calculated  of a bad one }
-function M.new_transfer(finding, bytes)
-  bytes = finding.bytes or bytes
-  local offset, length = finding.offset or 0, finding.to - finding.from
-  local id, size, reserved, seq = frame.parse(bytes, offset + 1)
-  local is_skipped = finding.status == "skipped"
-  local from, to = offset + HEADER + 1, offset + math.min(HEADER + (size or 0), length)
-  if is_skipped then from, to = offset + 1, offset + length end
-  local transfer = {
-    status = finding.status,
-    size = size,
-    reserved = reserved,
-    payload = sub(bytes, from, to),
-    offset = offset,
-    length = length,
-    missing = finding.missing,
-    bytes = finding.bytes,
-    packet_keys = finding.packet_keys,
-    crc = nil,
-    calculated = nil,
-  }
-  if is_skipped then return transfer end
-  if finding.status == "bad" then
-    local last = offset + length
-    transfer.crc = frame.crc(bytes, last)
-    transfer.calculated = crc.update(crc.INITIAL, bytes, offset + 1, last - CRC_SIZE)
-  end
-  return transfer, id, seq, anomalies_of(transfer)
-end
-
--- Findings ----------------------------------------------------------------------------------------
+-- Byte streams ------------------------------------------------------------------------------------
 
 -- Add the bytes of a packet to its stream.
 -- overlap  how many of them the stream has already
 local function add_bytes(stream, contents, overlap, findings)
   local framer, packet = stream.framer, contents.packet
   local from = framer.to
-  framer:add(sub(packet.bytes, overlap + 1), packet.truncated, findings)
+  framer:add(packet.bytes:sub(overlap + 1), packet.truncated, findings)
   contents.packet, contents.overlap = nil, overlap
-  contents.from, contents.to = math.min(from, framer.to), framer.to
+  contents.from, contents.to = from, framer.to
   local last = findings[#findings]
   if packet.truncated and last and last.missing then last.status = "truncated" end
   table.insert(stream.pieces, contents)
@@ -140,10 +87,9 @@ end
 -- Set where the bytes of a finding are.
 -- contents  of the packet that shows it
 local function locate_finding(stream, finding, contents)
-  local is_inside = finding.from >= contents.from and finding.to <= contents.to
-  if is_inside and not stream.framer.is_telnet then
+  if finding.from >= contents.from and finding.to <= contents.to then
     finding.offset, finding.bytes = contents.overlap + finding.from - contents.from, nil
-  elseif not is_inside and finding.status ~= "skipped" then
+  elseif finding.status ~= "skipped" then
     drop_pieces(stream, finding.from)
     finding.packet_keys = {}
     for _, piece in ipairs(stream.pieces) do
@@ -162,15 +108,16 @@ local function distance(seq, other)
   return (seq - other + 0x80000000) % 0x100000000 - 0x80000000
 end
 
--- Return a loss, see Streams:drops.
+-- Add a loss, see Streams:drops.
 -- packet  behind it
-local function new_loss(packet)
-  return { time = packet.epoch, frame = packet.number, bus = packet.line.bus, count = 1 }
+local function add_loss(list, packet)
+  local loss = { time = packet.epoch, frame = packet.number, bus = packet.line.bus, count = 1 }
+  table.insert(list, loss)
 end
 
 -- Keep a segment in the order of the sequence numbers.
-local function hold_segment(stream, contents)
-  local held, seq, index = stream.held, contents.packet.seq, #stream.held + 1
+local function hold_segment(held, contents)
+  local seq, index = contents.packet.seq, #held + 1
   while index > 1 and distance(seq, held[index - 1].packet.seq) < 0 do index = index - 1 end
   table.insert(held, index, contents)
 end
@@ -180,15 +127,16 @@ end
 local function add_held(self, stream, findings, is_over)
   local held = stream.held
   while held[1] do
-    local segment = held[1].packet
+    local contents = held[1]
+    local segment = contents.packet
     local overlap = distance(stream.next_seq, segment.seq)
     if overlap < 0 then
       if #held < MAX_HELD and not is_over then return end
       stream.framer:add("", true, findings)
-      table.insert(self.losses, new_loss(segment))
+      add_loss(self.losses, segment)
       overlap = 0
     end
-    local contents = table.remove(held, 1)
+    table.remove(held, 1)
     if overlap < segment.length then
       add_bytes(stream, contents, overlap, findings)
       stream.next_seq = (segment.seq + segment.length) % 0x100000000
@@ -198,29 +146,28 @@ local function add_held(self, stream, findings, is_over)
   end
 end
 
+-- Add all that waits; what comes next is another stream.
+local function end_stream(self, stream, findings)
+  add_held(self, stream, findings, true)
+  stream.framer:add("", true, findings)
+end
+
 -- Add a segment, and those that waited for it.
 local function add_segment(self, stream, contents, findings)
-  local packet = contents.packet
-  local next_seq, seq = stream.next_seq, packet.seq
-  local is_far = next_seq and math.abs(distance(seq, next_seq)) > MAX_DISTANCE
-  if stream.is_over or is_far then
-    add_held(self, stream, findings, true)
-    stream.framer:add("", true, findings)
-  end
-  if stream.is_over or is_far or not next_seq then
-    stream.first_seq, stream.next_seq, stream.is_over = seq, seq, false
+  local packet, next_seq = contents.packet, stream.next_seq
+  local seq = packet.seq
+  local ahead = next_seq and distance(seq, next_seq)
+  local is_new = packet.is_start or ahead and math.abs(ahead) > MAX_DISTANCE
+  if is_new then end_stream(self, stream, findings) end
+  if is_new or not next_seq then
+    stream.first_seq, stream.next_seq = seq, seq
   elseif distance(seq, stream.first_seq) < 0 then -- it is late, and began before the first one
     stream.first_seq, contents.packet = seq, nil
     for i, finding in ipairs(self:split(packet.bytes)) do findings[i] = finding end
     return
   end
-  hold_segment(stream, contents)
+  hold_segment(stream.held, contents)
   add_held(self, stream, findings, packet.is_end)
-end
-
---- Begin a new TCP connection on a line.
-function Streams:begin_connection(line)
-  self.by_line[line].is_over = true
 end
 
 -- Packets -----------------------------------------------------------------------------------------
@@ -229,7 +176,7 @@ end
 local function is_plain(findings, bytes)
   local length = 0
   for _, finding in ipairs(findings) do
-    if finding.status ~= "good" or not finding.offset then return false end
+    if finding.status ~= "good" or finding.bytes then return false end
     length = length + finding.to - finding.from
   end
   return length == #bytes
@@ -256,35 +203,22 @@ local function split_alone(self, packet)
 end
 
 -- Return whether a datagram of a conversation that was found by content is of others: it holds no
--- frame, goes on with none and begins none.
--- has_waiting  true if bytes waited for it
-local function is_of_others(stream, contents, line, has_waiting)
-  if has_waiting or not (line.is_datagram and line.conversation.is_found) then return false end
-  for _, finding in ipairs(contents.findings) do
+-- frame and begins none.  No bytes waited for it.
+local function is_of_others(stream, packet, findings)
+  local line, pending = packet.line, stream.framer:pending()
+  if not (line.is_datagram and line.conversation.is_found) then return false end
+  for _, finding in ipairs(findings) do
     if finding.status ~= "skipped" then return false end
   end
-  local pending = stream.framer:pending()
-  if pending == "Y" then return contents.to - contents.from > 1 end -- chance
-  return pending == "" or not frame.may_be_header(pending, 1)
-end
-
-local function new_contents(packet, findings)
-  return {
-    key = packet.key,
-    findings = findings,
-    pending = 0,
-    is_others = false,
-    packet = packet, -- nil once its bytes are added
-    overlap = 0,     -- number of its bytes that had come before
-    from = 0,        -- offset in the stream of the others, once they are added
-    to = 0,
-  }
+  local is_chance = pending == "Y" and packet.bytes ~= "Y"
+  return pending == "" or is_chance or not frame.may_be_header(pending, 1)
 end
 
 -- Add a packet to its stream.
-local function add_to_stream(self, stream, contents)
+-- has_waiting  true if bytes waited for it
+-- returns      true if it is a datagram of others
+local function add_to_stream(self, stream, contents, has_waiting)
   local packet, findings, framer = contents.packet, contents.findings, stream.framer
-  stream.latest = packet
   if packet.seq then
     add_segment(self, stream, contents, findings)
   else
@@ -293,18 +227,19 @@ local function add_to_stream(self, stream, contents)
   for _, finding in ipairs(findings) do
     if not finding.offset then locate_finding(stream, finding, contents) end
   end
-  drop_pieces(stream, framer.from)
   if contents.packet then -- its bytes wait for a missing segment
     contents.pending = #packet.bytes
-  elseif contents.to > framer.from then
-    contents.pending = contents.to - math.max(contents.from, framer.from)
+  else
+    contents.pending = math.max(contents.to - math.max(contents.from, framer.from), 0)
   end
-end
-
--- Add the loss of a packet whose end the capture lacks: it may have had whole frames.
-local function add_truncated_loss(self, packet, findings)
+  local is_others = not has_waiting and is_of_others(stream, packet, findings)
+  if is_others then framer:add("", true) end
   local last = findings[#findings]
-  if not (last and last.missing) then table.insert(self.losses, new_loss(packet)) end
+  if packet.truncated and not (is_others or last and last.missing) then
+    add_loss(self.losses, packet) -- it may have had whole frames
+  end
+  drop_pieces(stream, framer.from)
+  return is_others
 end
 
 --- Add the next packet of the capture.
@@ -316,45 +251,33 @@ end
 --   truncated    true if the packet had more
 --   line         of serial.lines
 --   seq          of TCP, if it is known: sequence number of the first byte
---   is_end       true if the segment ends its connection
+--   is_start, is_end  true if the segment begins or ends its connection
 --   length       number of bytes that it had }
 -- is_stored  true if Streams:find may ask for it
--- returns  {
+-- returns  nil for a datagram of others, else {
 --   findings  as from serial.framer, or with the status "truncated": the capture has only a part
---             of the frame; and offset = in the packet.  If not all its bytes are in this packet:
---             bytes = string, and packet_keys = of the packets they came in (none of skipped
---             bytes).  Of telnet: bytes = those without what telnet adds
+--             of the frame.  Each has its offset in the packet; or, if not all its bytes are in
+--             this packet, in its `bytes`.  Of a frame packet_keys are the packets of these
 --   pending   number of bytes at the end that are in no finding yet; of a segment that waits for a
 --             missing one, all
---   is_others true if it is a datagram of others: no other field of it holds
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
 function Streams:add(packet, is_stored)
-  local line = packet.line
-  local whole, stream = split_alone(self, packet), rawget(self.by_line, line)
-  local has_waiting = stream ~= nil and stream.framer.to > stream.framer.from
-  if whole and not has_waiting then
-    if is_stored then self.contents_by_key[packet.key] = PLAIN end
-    return new_contents(packet, whole)
+  local alone, stream = split_alone(self, packet), self.by_line[packet.line]
+  local framer = stream.framer
+  local has_waiting = framer.to > framer.from
+  local findings = not has_waiting and alone or {}
+  local contents, is_others = new_contents(packet, findings), false
+  stream.latest = packet
+  if findings ~= alone then
+    -- A lost datagram cut the bytes that wait if the next one is complete in itself.
+    if alone then framer:add("", true, findings) end
+    is_others = add_to_stream(self, stream, contents, has_waiting)
   end
-  local findings = {}
-  local contents = new_contents(packet, findings)
-  stream = self.by_line[line]
-  -- A lost datagram cut the bytes that wait if the next one is complete in itself.
-  if whole then stream.framer:add("", true, findings) end
-  add_to_stream(self, stream, contents)
-  if is_of_others(stream, contents, line, has_waiting) then
-    stream.framer:add("", true)
-    drop_pieces(stream, stream.framer.from)
-    contents.is_others = true
-    self.contents_by_key[packet.key] = nil -- of a packet before it that a read filter dropped
-    return contents
-  end
-  if packet.truncated then add_truncated_loss(self, packet, findings) end
-  if is_stored then
-    local can_be_read_anew = not line.is_datagram and is_plain(findings, packet.bytes)
-    self.contents_by_key[packet.key] = can_be_read_anew and PLAIN or contents
-  end
-  return contents
+  local can_be_read_anew = findings == alone or is_plain(findings, packet.bytes)
+  local stored = can_be_read_anew and PLAIN or contents
+  -- A read filter may have dropped an earlier packet with this key.
+  self.contents_by_key[packet.key] = is_stored and not is_others and stored or nil
+  return not is_others and contents or nil
 end
 
 --- Return the contents of a packet that was added before, nil if it was not.
@@ -364,6 +287,8 @@ function Streams:find(packet)
   return new_contents(packet, self:split(packet.bytes))
 end
 
+-- The end -----------------------------------------------------------------------------------------
+
 --- Return whether the capture ends before the frame that a packet's pending bytes begin.
 function Streams:is_unfinished(contents, packet)
   if contents.pending == 0 or contents.leads_to then return false end
@@ -371,38 +296,19 @@ function Streams:is_unfinished(contents, packet)
   return stream.latest.key == packet.key and stream.framer:has_open_frame()
 end
 
--- List the bytes that wait in a stream: its pending ones, and the segments behind each gap.
--- returns  list of { bytes, packet = the stream's latest; behind a gap the last with some of them;
---          first = the first one behind a gap }
-local function list_waiting(stream)
-  local last = { bytes = stream.framer:pending(), packet = stream.latest }
-  local list, next_seq = { last }, stream.next_seq
-  for _, contents in ipairs(stream.held) do
-    local packet = contents.packet
-    local overlap = distance(next_seq, packet.seq)
-    if overlap < 0 then
-      last, overlap = { bytes = "", first = packet }, 0
-      list[#list + 1] = last
-    end
-    if overlap < packet.length then
-      last.bytes, last.packet = last.bytes .. sub(packet.bytes, overlap + 1), packet
-      next_seq = (packet.seq + packet.length) % 0x100000000
-    end
-  end
-  return list
-end
-
 --- List the findings that wait in the streams, if the capture ends here.
--- returns  list of { packet = see above, findings = as from Streams:add, each with its bytes, and
---          offset = in these }
-function Streams:unfinished()
+-- may_go_on  true if more packets may come: then they wait on, as do segments behind a gap
+-- returns    list of { packet = the stream's latest, findings = as from Streams:add }
+function Streams:unfinished(may_go_on)
   local list = {}
   for _, stream in pairs(self.by_line) do
-    for _, piece in ipairs(list_waiting(stream)) do
-      piece.findings = self:split(piece.bytes)
-      for _, finding in ipairs(piece.findings) do finding.bytes = piece.bytes end
-      if piece.packet then list[#list + 1] = piece end
+    local findings = {}
+    if may_go_on then
+      self.reader:add(stream.framer:pending(), true, findings)
+    else
+      end_stream(self, stream, findings)
     end
+    list[#list + 1] = { packet = stream.latest, findings = findings }
   end
   return list
 end
@@ -414,12 +320,66 @@ function Streams:drops()
   local list = {}
   for _, loss in ipairs(self.losses) do list[#list + 1] = loss end
   for _, stream in pairs(self.by_line) do
-    for _, piece in ipairs(list_waiting(stream)) do
-      if piece.first then list[#list + 1] = new_loss(piece.first) end
-    end
+    if stream.held[1] then add_loss(list, stream.held[1].packet) end
   end
   table.sort(list, function(a, b) return a.frame < b.frame end)
   return list
+end
+
+-- Transfers ---------------------------------------------------------------------------------------
+
+-- List the anomalies of a frame, but for its CRC; return false for none.
+local function anomalies_of(transfer)
+  local list, missing = {}, transfer.missing
+  if missing then
+    list[1] = {
+      expert = transfer.status == "truncated" and "truncated" or "fragment.incomplete",
+      text = ("%d of the frame's %d bytes are missing"):format(missing, transfer.length + missing),
+    }
+  end
+  if transfer.reserved ~= 0 then
+    local text = "The reserved bytes are 0x%04x, not 0"
+    list[#list + 1] = { expert = "reserved.nonzero", text = text:format(transfer.reserved) }
+  end
+  return list[1] and list or false
+end
+
+--- Make the transfer of a finding.
+-- finding  of Streams:add
+-- bytes    of its packet
+-- returns  it: {
+--   status       "good", "bad" (CRC), "incomplete", "truncated" (by the capture), "skipped": bytes
+--                of no frame
+--   offset       in the bytes; length = number of its bytes that came
+--   missing      number of bytes to come, nil for none
+--   bytes        that hold it if those of its packet do not, or nil
+--   packet_keys  of the packets that these came in, or nil
+--   payload      all of skipped bytes; of a frame also
+--   id, seq, size, reserved  of the header; size = of the whole payload
+--   crc, calculated          of a bad one
+--   anomalies    list of { expert, text }, or false }
+function M.new_transfer(finding, bytes)
+  local offset, length = finding.offset or 0, finding.to - finding.from
+  bytes = (finding.bytes or bytes):sub(offset + 1, offset + length)
+  local transfer = {
+    status = finding.status,
+    offset = offset,
+    length = length,
+    missing = finding.missing,
+    bytes = finding.bytes,
+    packet_keys = finding.packet_keys,
+    payload = bytes,
+  }
+  if finding.status == "skipped" then return transfer end
+  local id, size, reserved, seq = frame.parse(bytes, 1)
+  transfer.id, transfer.seq, transfer.size, transfer.reserved = id, seq, size, reserved
+  transfer.payload = bytes:sub(HEADER + 1, HEADER + size)
+  if finding.status == "bad" then
+    transfer.crc = frame.crc(bytes, length)
+    transfer.calculated = crc.of(bytes:sub(1, -1 - frame.CRC_SIZE))
+  end
+  transfer.anomalies = anomalies_of(transfer)
+  return transfer
 end
 
 return M

@@ -25,8 +25,6 @@ local function u32(bytes, offset)
   return u16(bytes, offset) + u16(bytes, offset + 2) * 0x10000
 end
 
--- Headers -----------------------------------------------------------------------------------------
-
 -- By kind of packet: function(bytes) -> { bus, device, endpoint, transfer; offset, length = of its
 -- data }; nil for a packet without data that came in or went out.
 local HEADERS = {}
@@ -65,8 +63,6 @@ function HEADERS.usbpcap(bytes)
   }
 end
 
--- Devices -----------------------------------------------------------------------------------------
-
 local Usb = {}
 Usb.__index = Usb
 
@@ -84,47 +80,42 @@ local function size_by_status(data)
   return modem % 16 == 1 and FULL_SPEED or modem % 16 == 2 and HIGH_SPEED or nil
 end
 
--- Return the size of the packets with a status in front, nil if the data is as on the line.  All
--- that an adapter with a status sends begins with one.
-local function status_size(self, device, endpoint, data)
-  if endpoint < 0x80 or self.is_plain[device] then return nil end
-  local size = size_by_status(data)
-  self.is_plain[device] = size == nil
-  return size
-end
-
--- Return data without the status in front of each packet.
-local function without_status(data, size)
+-- Return the bytes of the line in data that was received, without the status in front of each
+-- packet, and whether it has one.  All that an adapter with a status sends begins with one.
+local function without_status(self, device, data)
+  local size = not self.is_plain[device] and size_by_status(data)
+  self.is_plain[device] = not size
+  if not size then return data, false end
   local parts = {}
   for offset = 0, #data - 1, size do
     parts[#parts + 1] = sub(data, offset + STATUS + 1, offset + size)
   end
-  return table.concat(parts)
+  return table.concat(parts), true
 end
 
 --- Read a packet.
 -- kind   of HEADERS: "usbmon", "usbmon_mapped", "usbpcap"
 -- bytes  those that were captured
 -- returns  nil if it has no bytes of a line, else {
---   name       of its line: usb1.6.1#rx, of endpoint 1; rx is from the adapter to the host
---   device     name of the adapter: usb1.6, of bus 1 and address 6
---   bytes      of the line
---   offset     of its data in the packet
---   has_status  true if there is more than the bytes of the line
---   truncated  true if the packet had more }
+--   name        of its line: usb1.6.1#rx, of endpoint 1; rx is from the adapter to the host
+--   device      name of the adapter: usb1.6, of bus 1 and address 6
+--   bytes       of the line, those that were captured; length = number of bytes that it had
+--   start       of its data in the packet
+--   has_status  true if there is more than the bytes of the line }
 function Usb:read_packet(kind, bytes)
   local header = HEADERS[kind](bytes)
   local data = header and header.transfer == BULK and sub(bytes, header.offset + 1)
   if not data or data == "" then return nil end
   local endpoint, device = header.endpoint, ("usb%d.%d"):format(header.bus, header.device)
-  local size, length = status_size(self, device, endpoint, data), #data
+  local is_received, of_line, has_status = endpoint >= 0x80, data, false
+  if is_received then of_line, has_status = without_status(self, device, data) end
   return {
-    name = ("%s.%d#%s"):format(device, endpoint % 0x80, endpoint >= 0x80 and "rx" or "tx"),
+    name = ("%s.%d#%s"):format(device, endpoint % 0x80, is_received and "rx" or "tx"),
     device = device,
-    bytes = size and without_status(data, size) or data,
-    offset = header.offset,
-    has_status = size ~= nil,
-    truncated = length < header.length,
+    bytes = of_line,
+    length = #of_line + header.length - #data,
+    start = header.offset,
+    has_status = has_status,
   }
 end
 
