@@ -333,9 +333,8 @@ def joined_by_us(rng, data, origin):
 
 
 class Datagrams:
-    """One direction of a conversation in UDP.  A datagram of whole frames is complete in itself; the others are a byte
-    stream, up to one of those.  Where the conversation was found by content, a datagram without a frame is others', unless
-    it goes on with a frame or begins one."""
+    """One direction of a conversation in UDP, a byte stream.  Where the conversation was found by content, a datagram without
+    a frame is others', unless it goes on with a frame or begins one."""
 
     def __init__(self, origin, by_content):
         self.origin, self.by_content = origin, by_content
@@ -347,23 +346,8 @@ class Datagrams:
         self.dropped = oracle.dropped
         return found
 
-    def end(self, packet=None):
-        """The byte stream ends; the packet shows what is left of it."""
-        rest, _ = self.events(ended=True)
-        if packet:
-            packet.events = rest
-            note_parts(self.run, packet, rest)
-        self.run, self.came, self.done, self.dropped = [], 0, 0, set()
-
     def next(self, data):
-        packet = Packet(data, self.origin)
-        alone, _ = Oracle(data).events(len(data), ended=True)
-        waited = self.came - self.done
-        if alone and all(event.kind == "good" for event in alone):
-            if waited:
-                self.end(packet)
-            packet.events += alone
-            return packet
+        packet, waited = Packet(data, self.origin), self.came - self.done
         packet.start, packet.end = self.came, self.came + len(data)
         self.run.append(packet)
         self.came = packet.end
@@ -373,7 +357,7 @@ class Datagrams:
         is_begun = bool(packet.pending) and (may_be_header(packet.pending) if len(packet.pending) > 1 else len(data) == 1)
         if self.by_content and not (waited or is_begun or any(event.kind != "skipped" for event in packet.events)):
             packet.events, packet.pending = [], b""
-            self.end()
+            self.run, self.came, self.done, self.dropped = [], 0, 0, set()
         return packet
 
 

@@ -282,41 +282,19 @@ SHELL = b"pwd: /home\r\n" * 500
 # Each: a transport, and its packets: the bytes (and how many of them were captured), what is shown, the bytes that wait.
 # A number is that of bytes that are not in the capture.
 SITUATIONS = {
-    "several messages in one packet": (SERIAL, [
-        (b"> ps\r\n" + ONE + TWO + BAD + b"\x00", [("skipped", b"> ps\r\n"), ("good", ONE), ("good", TWO), ("bad", BAD),
-                                              ("skipped", b"\0")])]),
     "more messages than Info names": (UDP, [(b"".join(MANY), [("good", one) for one in MANY])]),
     "one message more than Info names": (UDP, [(b"".join(MANY[:11]), [("good", one) for one in MANY[:11]])]),
-    "a frame over three packets": (SERIAL, [
-        (ONE[:5], [], ONE[:5]), (ONE[5:20], [], ONE[5:20]), (ONE[20:] + b"ok", [("good", ONE), ("skipped", b"ok")])]),
-    "a packet that ends one frame and begins another": (SERIAL, [
-        (ONE[:20], [], ONE[:20]), (ONE[20:] + TWO[:9], [("good", ONE)], TWO[:9]), (TWO[9:], [("good", TWO)])]),
-    "a claim holds back nothing": (SERIAL, [
-        (CLAIM, [("skipped", CLAIM)]), (SHELL, [("skipped", SHELL)]), (ONE, [("good", ONE)])]),
-    "a frame over two datagrams": (UDP, [
-        (ONE + TWO[:30], [("good", ONE)], TWO[:30]), (TWO[30:], [("good", TWO)])]),
-    "the next datagram is lost": (UDP, [
-        (ONE + MOTOR[:30], [("good", ONE)], MOTOR[:30]), (TWO, [("incomplete", MOTOR[:30]), ("good", TWO)]),
-        (ONE[:11], [], ONE[:11]), (THREE, [("skipped", ONE[:11]), ("good", THREE)])]),
-    "a datagram ends in a header": (UDP, [(b"ok" + ONE[:11], [("skipped", b"ok")], ONE[:11])]),
     "a bridge that sends byte by byte": (UDP_SEARCHED, [
         (ONE, [("good", ONE)]), *[(TWO[at:at + 1], [], TWO[at:at + 1]) for at in range(len(TWO) - 1)], (TWO[-1:], [("good", TWO)])]),
     "datagrams of others": (UDP_FOUND, [
         (ONE, [("good", ONE)]), (b"MAVLink", []), (b"MAVLINKY", []), (b"x" + TWO[:20], [("skipped", b"x")], TWO[:20]),
         (TWO[20:], [("good", TWO)]), (b"MAVLink", []), (b"text" + THREE, [("skipped", b"text"), ("good", THREE)])]),
     "a conversation is known by its first whole frame": (UDP_FOUND, [
-        (b"text YP text", []), (ONE[:30], [], ONE[:30]), (ONE, [("incomplete", ONE[:30]), ("good", ONE)]), (b"text", [])]),
-    "a conversation is known by its first whole frame, TCP": (TCP_FOUND, [
-        (b"text YP text" * 11, []), (b"text", []), (TWO + THREE[:5], [("good", TWO)], THREE[:5]),
-        (THREE[5:], [("good", THREE)])]),
+        (b"text YP text", []), (ONE[:30], [], ONE[:30]), (ONE, [("skipped", ONE[:30]), ("good", ONE)]), (b"text", [])]),
     "a conversation is known by damaged messages": (UDP_FOUND, [
         (DAMAGED * 2, [("bad", DAMAGED)] * 2), (LOST_BYTE, [], LOST_BYTE), (MOTOR, [("incomplete", LOST_BYTE), ("good", MOTOR)])]),
     "a conversation is known by what the capture has of a message": (UDP_FOUND, [
         ((MOTOR, 30), [("incomplete", MOTOR[:30])]), (DAMAGED, [("bad", DAMAGED)])]),
-    "a conversation is known by damaged messages, TCP": (TCP_FOUND, [
-        (DAMAGED, [("bad", DAMAGED)]), (MOTOR[:20], [], MOTOR[:20]), (MOTOR[20:], [("good", MOTOR)])]),
-    "noise around damaged messages": (UDP_FOUND, [
-        (b"x" + DAMAGED, [("skipped", b"x"), ("bad", DAMAGED)]), (DAMAGED + b"x", [("bad", DAMAGED), ("skipped", b"x")])]),
     "a conversation is known by a message that lost bytes": (UDP_FOUND, [
         (LOST_BYTE, [], LOST_BYTE), (MOTOR[:12], [], MOTOR[:12]),
         (MOTOR, [("incomplete", LOST_BYTE), ("incomplete", MOTOR[:12]), ("good", MOTOR)])]),
@@ -325,8 +303,6 @@ SITUATIONS = {
     **{f"a conversation is known by a header: {what}": (UDP_SEARCHED, [(data, [("good", data)])])
        for what, data in {"another size": GROWN, "no known size": SHORT}.items()},
     "a conversation with neither is nobody's": (UDP_FOUND, [(ODD, []), (RESERVED, []), (MOTOR[:11], []), (b"YP" * 30, [])]),
-    "messages of few bytes in pieces": (SERIAL, [
-        row for one in (frame(0x301, bytes(size)) for size in range(3)) for row in ((one[:11], [], one[:11]), (one[11:], [("good", one)]))]),
     "empty datagrams": (UDP, [(b"", []), (ONE, [("good", ONE)]), (b"", [])]),
     "the snap length cuts a frame": (SERIAL, [
         (ONE + TWO[:10], [("good", ONE)], TWO[:10]), ((TWO[10:], 15), [("incomplete", TWO[:25])]), (THREE, [("good", THREE)])]),
@@ -336,17 +312,6 @@ SITUATIONS = {
         (b"\xc2\xb0" * 50 + ONE, [("skipped", b"\xc2\xb0" * 50), ("good", ONE)]),
         *((b"x" * length + ONE, [("skipped", b"x" * length), ("good", ONE)]) for length in (79, 80, 81)),
         (b"\xc2\x80" + ONE, [("skipped", b"\xc2\x80"), ("good", ONE)]), (b"\xb0" + ONE, [("skipped", b"\xb0"), ("good", ONE)])]),
-    "messages that lost bytes": (SERIAL, [
-        (LOST_BYTE + MOTOR, [("incomplete", LOST_BYTE), ("good", MOTOR)]), (LOST_BYTE, [], LOST_BYTE),
-        (LOST_BYTE + ONE, [("incomplete", LOST_BYTE), ("incomplete", LOST_BYTE), ("good", ONE)]),
-        (DAMAGED + MOTOR, [("bad", DAMAGED), ("good", MOTOR)])]),
-    "messages that lost bytes, UDP": (UDP, [
-        (LOST_BYTE + MOTOR, [("incomplete", LOST_BYTE), ("good", MOTOR)]), (LOST_BYTE, [], LOST_BYTE)]),
-    "a firmware that grew, IDs and reserved bytes of nobody": (SERIAL, [
-        (GROWN, [("good", GROWN)]), (GROWN[:20], [], GROWN[:20]), (GROWN[20:] + ODD, [("good", GROWN), ("good", ODD)]),
-        (RESERVED, [("good", RESERVED)])]),
-    "text with YP in it is no message": (SERIAL, [
-        (b"SYP and more\r\n", [("skipped", b"SYP and more\r\n")]), (MOTOR, [("good", MOTOR)])]),
     "the snap length leaves nothing": (SERIAL, [((ONE, 0), []), (TWO, [("good", TWO)])]),
     "the snap length cuts a datagram": (UDP, [((ONE, 20), [("incomplete", ONE[:20])]), ((ONE, 3), [("skipped", ONE[:3])]),
                                               ((ONE, 0), []), (TWO, [("good", TWO)])]),
@@ -412,34 +377,6 @@ def test_situation(name):
             assert not problems, f"{passes}:\n" + "\n".join(problems)
 
 
-def test_what_text2pcap_writes(folder):
-    dump = "".join(f"0000 {data.hex(' ')}\n" for data in (b"> " + ONE, TWO))
-    (folder / "dump.txt").write_text(dump)
-    subprocess.run(["text2pcap", "-q", "-P", "yapp_serial", folder / "dump.txt", folder / "dump.pcapng"], check=True,
-                   capture_output=True)
-    rows = shown(folder / "dump.pcapng")
-    assert [rows[number]["yapp.id"] for number in (1, 2)] == [["0x00000301"], ["0x00000302"]]
-    assert rows[1]["yapp.skipped"] == [b"> ".hex()]
-
-
-def rtac_event(kind):
-    """An RTAC packet with one of its event types: 1 and 3 sent, 2 and 4 received, 0 none of both."""
-    return lambda packet: stream_captures.rtac(packet)[:8] + bytes([kind, 0, 0, 0]) + packet.data
-
-
-def test_rtac_directions(folder):
-    """Frames sent and received at the same time, and a change of a control line between."""
-    rows = [(1, ONE[:20], []), (2, TWO[:20], []), (0, b"", []), (3, ONE[20:], ["0x00000301"]), (4, TWO[20:], ["0x00000302"])]
-    packets = []
-    for number, (kind, data, _) in enumerate(rows, 1):
-        packets.append(Packet(data, Origin(RTAC, 0, 0)))
-        packets[-1].time, packets[-1].link = stream_captures.EPOCH + number, rtac_event(kind)
-    stream_captures.Capture("RTAC", packets, lambda packet: packet.link(packet), []).write(folder / "rtac.pcapng")
-    for passes in SOME_PASSES:
-        packets = shown(folder / "rtac.pcapng", *passes, *stream_captures.AS_SERIAL)
-        assert [packets.get(number, {}).get("yapp.id", []) for number in range(1, 6)] == [ids for *_, ids in rows]
-
-
 def test_preference_takes_several_link_types(folder):
     packets = [Packet(ONE, Origin(linktype, interface, 0)) for interface, linktype in enumerate([USER0, USER0 + 2, USER0 + 5])]
     for number, packet in enumerate(packets):
@@ -463,20 +400,9 @@ def tcp_packets(rows):
 A, B, C, D, E = (frame(0x210, bytes([number]) * 32, seq=number) for number in range(5))
 # Each: its segments, and the messages by the number of the packet that shows them.
 CONNECTIONS = {
-    "a segment that comes twice": ([(0, 1, A), (.1, 49, B), (.2, 49, B), (.3, 97, C)], {1: "0", 2: "1", 4: "2"}),
-    "the first one comes twice": ([(0, 1, A), (.1, 1, A), (.2, 49, B)], {1: "0", 3: "1"}),
-    "inside of a message": ([(0, 1, A + B[:10]), (.1, 59, B[10:20]), (.2, 59, B[10:20]), (.3, 69, B[20:])], {1: "0", 4: "1"}),
-    "with more bytes": ([(0, 1, A + B[:9]), (.1, 1, A + B), (.2, 49, B + C), (.3, 140, C[43:] + D)], {1: "0", 2: "1", 3: "2", 4: "3"}),
-    "within one that came": ([(0, 1, A + B + C), (.1, 49, B), (.2, 100, C[3:9]), (.3, 145, D)], {1: "0;1;2", 4: "3"}),
-    "equal messages": ([(0, 1, A), (.1, 49, A), (.2, 97, A)], {1: "0", 2: "0", 3: "0"}),
     "a late segment": ([(0, 1, A), (.1, 97, C), (.2, 49, B), (.3, 145, D)], {1: "0", 3: "1;2", 4: "3"}),
-    "three in reverse": ([(0, 1, A), (.1, 145, D), (.2, 97, C), (.3, 49, B)], {1: "0", 4: "1;2;3"}),
-    "late and in pieces": ([(0, 1, A + B[:9]), (.1, 70, B[21:] + C), (.2, 145, D), (.3, 58, B[9:21])], {1: "0", 4: "1;2;3"}),
-    "a second behind a late one": ([(0, 1, A), (.9, 97, C), (1.8, 145, D), (1.9, 49, B)], {1: "0", 4: "1;2;3"}),
     "it begins with part of a message": ([(0, 1, A[:30]), (.1, 31, A[30:] + B), (.2, 97, C)], {2: "0;1", 3: "2"}),
     "others' bytes come twice": ([(0, 1, b"hello"), (.1, 1, b"he"), (.2, 6, A), (.3, 54, B)], {3: "0", 4: "1"}),
-    "a segment is missing": ([(0, 1, A), *((number / 100, 97 + 48 * number, C) for number in range(16))],
-                             {1: "0", 17: ";".join(["2"] * 16)}),
     "numbers that wrap": ([(0, 2**32 - 50, A), (.1, 46, C), (.2, 2**32 - 2, B), (.3, 46, C), (.4, 94, D)],
                           {1: "0", 3: "1;2", 5: "3"}),
     "a new connection": ([(0, 1, A), (.1, 2**31, B), (.2, 2**31 + 48, C), (.3, 2**31, B)], {1: "0", 2: "1", 3: "2"}),

@@ -146,8 +146,9 @@ function T.test_datagrams()
     { 4, "YP", "2 wait" },
     { 5, A .. A, "skipped 2 before, good 5 @0, good 5 @25" },
     { 6, A:sub(1, 20), "truncated 5 @0 -5", truncated = true },
-    { 7, generator.header(5, 500) .. A, "37 wait", "37 wait, to 8" },
-    { 8, B, "skipped 12 before, good 5 in 7, good 6 @0" },
+    { 7, generator.header(5, 60) .. A, "37 wait", "37 wait, to 9" },
+    { 8, B, "17 wait", "17 wait, to 9" },
+    { 9, A, "skipped 12 before, good 5 in 7, good 6 in 8, good 5 @0" }, -- they win over the bad one
   }, { is_datagram = true })
 end
 
@@ -190,17 +191,6 @@ function T.test_datagrams_of_others()
   lu.assertFalse(is_others(6, A:sub(10, 12), "3 wait"))
   lu.assertFalse(is_others(7, A:sub(13), "good 5 in 5,6,7"))
   lu.assertTrue(is_others(10, "text", "nothing"))
-end
-
-function T.test_bytes_by_themselves()
-  local self = new()
-  take(self, { { 1, A:sub(1, 9), "9 wait" } })
-  local bytes = "x" .. B .. A:sub(1, 20)
-  for _ = 1, 2 do
-    lu.assertEquals(in_words({ findings = self:split(bytes), pending = 0 }, bytes),
-      "skipped 1 @0, good 6 @1, incomplete 5 @18 -5")
-  end
-  take(self, { { 2, A:sub(10), "good 5 in 1,2" } })
 end
 
 -- tshark -2 -R: a packet that was dropped has the number of the next one.

@@ -10,8 +10,8 @@
 -- behind a gap waits in a list for the missing one, until MAX_HELD segments wait or the connection
 -- ends: then the missing one is lost.
 --
--- A datagram of whole frames is complete in itself.  Other datagrams are a byte stream, as of a
--- bridge from a serial line, which cuts where it likes.  A lost one costs the frames it cut.
+-- Datagrams are a byte stream, too: a bridge from a serial line cuts where it likes.  A lost one
+-- costs the frames it cut.
 
 local crc = require "yapp.wire.crc"
 local frame = require "yapp.wire.frame"
@@ -56,7 +56,7 @@ end
 -- new_framer  function() -> a serial.framer
 function M.new(new_framer)
   return setmetatable({
-    reader = new_framer(), -- of bytes that are complete in themselves, see Streams:split
+    reader = new_framer(), -- of bytes that are complete in themselves
     by_line = memo(function() return new_stream(new_framer()) end),
     contents_by_key = {}, -- by frame key: the results of Streams:add
     losses = {}, -- see Streams:drops
@@ -70,7 +70,8 @@ end
 local function add_bytes(stream, contents, overlap, findings)
   local framer, packet = stream.framer, contents.packet
   local from = framer.to
-  framer:add(packet.bytes:sub(overlap + 1), packet.truncated, findings)
+  local is_complete = packet.truncated or packet.line.is_complete
+  framer:add(packet.bytes:sub(overlap + 1), is_complete, findings)
   contents.packet, contents.overlap = nil, overlap
   contents.from, contents.to = from, framer.to
   local last = findings[#findings]
@@ -99,6 +100,16 @@ local function locate_finding(stream, finding, contents)
       end
     end
   end
+end
+
+-- Append the findings of bytes that are complete in themselves, and return the list.
+local function split(self, bytes, findings)
+  local framer = self.reader
+  local from = framer.to
+  for _, finding in ipairs(framer:add(bytes, true, findings)) do
+    finding.offset, finding.bytes = finding.from - from, nil
+  end
+  return findings
 end
 
 -- TCP ---------------------------------------------------------------------------------------------
@@ -163,8 +174,7 @@ local function add_segment(self, stream, contents, findings)
     stream.first_seq, stream.next_seq = seq, seq
   elseif distance(seq, stream.first_seq) < 0 then -- it is late, and began before the first one
     stream.first_seq, contents.packet = seq, nil
-    for i, finding in ipairs(self:split(packet.bytes)) do findings[i] = finding end
-    return
+    return split(self, packet.bytes, findings)
   end
   hold_segment(stream.held, contents)
   add_held(self, stream, findings, packet.is_end)
@@ -182,26 +192,6 @@ local function is_plain(findings, bytes)
   return length == #bytes
 end
 
---- Return the findings of bytes that are complete in themselves; each has its offset in them.
-function Streams:split(bytes)
-  local framer = self.reader
-  local from = framer.to
-  local findings = framer:add(bytes, true)
-  for _, finding in ipairs(findings) do
-    finding.offset, finding.bytes = finding.from - from, nil
-  end
-  return findings
-end
-
--- Return the findings of a datagram that is complete in itself, nil for any other packet.
-local function split_alone(self, packet)
-  local line = packet.line
-  local is_complete = line.is_complete
-  if not (line.is_datagram or is_complete) or packet.truncated then return nil end
-  local findings = self:split(packet.bytes)
-  return (is_complete or is_plain(findings, packet.bytes)) and findings or nil
-end
-
 -- Return whether a datagram of a conversation that was found by content is of others: it holds no
 -- frame and begins none.  No bytes waited for it.
 local function is_of_others(stream, packet, findings)
@@ -215,9 +205,7 @@ local function is_of_others(stream, packet, findings)
 end
 
 -- Add a packet to its stream.
--- has_waiting  true if bytes waited for it
--- returns      true if it is a datagram of others
-local function add_to_stream(self, stream, contents, has_waiting)
+local function add_to_stream(self, stream, contents)
   local packet, findings, framer = contents.packet, contents.findings, stream.framer
   if packet.seq then
     add_segment(self, stream, contents, findings)
@@ -232,14 +220,6 @@ local function add_to_stream(self, stream, contents, has_waiting)
   else
     contents.pending = math.max(contents.to - math.max(contents.from, framer.from), 0)
   end
-  local is_others = not has_waiting and is_of_others(stream, packet, findings)
-  if is_others then framer:add("", true) end
-  local last = findings[#findings]
-  if packet.truncated and not (is_others or last and last.missing) then
-    add_loss(self.losses, packet) -- it may have had whole frames
-  end
-  drop_pieces(stream, framer.from)
-  return is_others
 end
 
 --- Add the next packet of the capture.
@@ -262,29 +242,33 @@ end
 --             missing one, all
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
 function Streams:add(packet, is_stored)
-  local alone, stream = split_alone(self, packet), self.by_line[packet.line]
-  local framer = stream.framer
+  local stream, findings = self.by_line[packet.line], {}
+  local framer, contents = stream.framer, new_contents(packet, findings)
   local has_waiting = framer.to > framer.from
-  local findings = not has_waiting and alone or {}
-  local contents, is_others = new_contents(packet, findings), false
   stream.latest = packet
-  if findings ~= alone then
-    -- A lost datagram cut the bytes that wait if the next one is complete in itself.
-    if alone then framer:add("", true, findings) end
-    is_others = add_to_stream(self, stream, contents, has_waiting)
+  add_to_stream(self, stream, contents)
+  local is_others = not has_waiting and is_of_others(stream, packet, findings)
+  if is_others then framer:add("", true) end
+  drop_pieces(stream, framer.from)
+  if is_others then
+    self.contents_by_key[packet.key] = nil -- of a packet before it that a read filter dropped
+    return nil
   end
-  local can_be_read_anew = findings == alone or is_plain(findings, packet.bytes)
-  local stored = can_be_read_anew and PLAIN or contents
-  -- A read filter may have dropped an earlier packet with this key.
-  self.contents_by_key[packet.key] = is_stored and not is_others and stored or nil
-  return not is_others and contents or nil
+  local last = findings[#findings]
+  if packet.truncated and not (last and last.missing) then -- it may have had whole frames
+    add_loss(self.losses, packet)
+  end
+  if is_stored then
+    self.contents_by_key[packet.key] = is_plain(findings, packet.bytes) and PLAIN or contents
+  end
+  return contents
 end
 
 --- Return the contents of a packet that was added before, nil if it was not.
 function Streams:find(packet)
   local contents = self.contents_by_key[packet.key]
   if contents ~= PLAIN then return contents end
-  return new_contents(packet, self:split(packet.bytes))
+  return new_contents(packet, split(self, packet.bytes, {}))
 end
 
 -- The end -----------------------------------------------------------------------------------------
