@@ -144,7 +144,14 @@ function make_reading()
     messages = catalogue.messages,
     names = default_names,
   }
-  frames = can_dissector.new(reading, view, wants, buses, settings, headers)
+  frames = can_dissector.new {
+    reading = reading,
+    view = view,
+    wants = wants,
+    buses = buses,
+    settings = settings,
+    headers = headers,
+  }
   streams = stream_dissector.new {
     reading = reading,
     view = view,
@@ -231,7 +238,7 @@ local function make_statistics()
     wants = wants,
     buses = buses,
     reading = reading,
-    find_options = find_options,
+    find_options = function() return streams:undecoded_options() end,
     frames = frames,
     headers = headers,
     counted = counted,

@@ -13,7 +13,6 @@ import os
 import re
 import shutil
 import struct
-import subprocess
 
 import pytest
 
@@ -22,7 +21,7 @@ import model
 import stream_captures
 import tshark
 from expected import plain
-from stream_captures import ETHERNET, EXPORTED_PDU, RTAC, USER0, Event, Packet, Origin, frame, header
+from stream_captures import ETHERNET, EXPORTED_PDU, USER0, Event, Packet, Origin, frame, header
 
 STREAMS = int(os.environ.get("YAPP_SOAK_STREAMS", levels.size("105", "315")))
 SEED = os.environ.get("YAPP_SEED", "1")
@@ -266,7 +265,6 @@ def test_random_streams(number, passes, folder):
 ONE, TWO, THREE = (frame(0x301 + number, bytes([number]) * 30, seq=number) for number in range(3))
 MANY = [frame(0x301, bytes([number]) * 30, seq=number) for number in range(13)]
 BAD = ONE[:-1] + bytes([ONE[-1] ^ 1])
-CLAIM = header(0x333, 65535)
 MOTOR = frame(0x210, bytes(range(32)))
 LOST_BYTE, DAMAGED = MOTOR[:30] + MOTOR[31:], MOTOR[:30] + b"?" + MOTOR[31:]
 GROWN, SHORT, ODD = frame(0x210, bytes(range(34))), frame(0x210, bytes(range(30))), frame(0x12345678, b"somebody's")
@@ -276,8 +274,6 @@ SERIAL, UDP, TCP = (EXPORTED_PDU, stream_captures.exported_pdu, []), (ETHERNET, 
     (ETHERNET, stream_captures.tcp, TCP_PORT)
 UDP_FOUND, TCP_FOUND = (ETHERNET, stream_captures.udp, []), (ETHERNET, stream_captures.tcp, [])
 UDP_SEARCHED = (ETHERNET, stream_captures.udp, ["-o", "yapp.search_all:TRUE"])  # the head of the file need not have a frame
-TCP_APART = (ETHERNET, stream_captures.tcp, [*TCP_PORT, "-o", "tcp.desegment_tcp_streams:FALSE"])
-SHELL = b"pwd: /home\r\n" * 500
 
 # Each: a transport, and its packets: the bytes (and how many of them were captured), what is shown, the bytes that wait.
 # A number is that of bytes that are not in the capture.

@@ -2,6 +2,8 @@
 -- The addresses of packets as numbers: Wireshark shows them by name if the user has switched on
 -- name resolution.  Wireshark's API.
 
+local memo = require "yapp.base.memo"
+
 local M = {}
 
 local Addresses = {}
@@ -9,8 +11,8 @@ Addresses.__index = Addresses
 
 --- Make the addresses of a capture.
 function M.new()
-  -- Lists of { address, text = as a number }; false for a name of another kind.
-  return setmetatable({ by_name = {} }, Addresses)
+  -- Lists of { address, text = as a number }: several addresses may have one name.
+  return setmetatable({ by_name = memo(function() return {} end) }, Addresses)
 end
 
 local function ipv4_text(groups)
@@ -35,7 +37,7 @@ end
 -- whatever they are called.
 -- make, text_of  function(text) -> an address, function(groups) -> a text
 -- count, top     of the groups: their number, and the highest bit of one
--- returns        its text, and the address made of it; nil for an address of another kind
+-- returns        its text, nil for an address of another kind
 local function find_number(address, make, text_of, count, top)
   local groups = {}
   for i = 1, count do groups[i] = 0 end
@@ -48,25 +50,20 @@ local function find_number(address, make, text_of, count, top)
     end
   end
   local text = text_of(groups)
-  local found = make(text)
-  if found == address then return text, found end
+  return make(text) == address and text or nil
 end
 
---- Return the text of an address, as a number if it is one of IPv4 or IPv6.  Several addresses may
--- have one name.
+--- Return the text of an address, as a number if it is one of IPv4 or IPv6.
 function Addresses:text(address)
   local name = tostring(address)
   if name == "" or name:find("^[%d.]+$") or name:find(":", 1, true) then return name end
   local list = self.by_name[name]
-  if list == false then return name end -- of another kind, as those of a serial line
-  for _, known in ipairs(list or {}) do
+  for _, known in ipairs(list) do
     if known.address == address then return known.text end
   end
-  local text, own = find_number(address, Address.ip, ipv4_text, 4, 128)
-  if not text then text, own = find_number(address, Address.ipv6, ipv6_text, 8, 32768) end
-  self.by_name[name] = text and (list or {}) or false
-  if not text then return name end
-  table.insert(self.by_name[name], { address = own, text = text })
+  local text = find_number(address, Address.ip, ipv4_text, 4, 128) or
+    find_number(address, Address.ipv6, ipv6_text, 8, 32768) or name
+  table.insert(list, { address = address, text = text })
   return text
 end
 

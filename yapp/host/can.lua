@@ -22,22 +22,11 @@ local Dissector = {}
 Dissector.__index = Dissector
 
 --- Make the dissector.
--- reading      a reading.reading
--- view         a show.view
--- wants        a show.wants
--- buses        a capture.capture
--- settings     its accepts_all: the preference yapp.all_extended
--- headers      a host.header
-function M.new(reading, view, wants, buses, settings, headers)
-  return setmetatable({
-    reading = reading,
-    view = view,
-    wants = wants,
-    buses = buses,
-    settings = settings,
-    headers = headers,
-    frame = false, asked = false, -- see Dissector:reset
-  }, Dissector)
+-- parts  { reading = a reading.reading, view = a show.view, wants = a show.wants,
+--          buses = a capture.capture, headers = a host.header;
+--          settings: its accepts_all is the preference yapp.all_extended }
+function M.new(parts)
+  return setmetatable(parts, Dissector)
 end
 
 --- Forget the capture file.
@@ -48,12 +37,6 @@ function Dissector:reset()
   self:begin_count()
   self.frame = records.new_can_frame()
   self.asked = false -- the answer of Wants:ask that the frame has
-end
-
--- Set where the current frame was captured.
-local function find_bus(self, frame, pinfo)
-  local bus, is_bus_known = self.buses.bus_of(frame.number, pinfo)
-  frame.bus, frame.is_bus_known = bus or false, is_bus_known
 end
 
 -- Find out whether the current frame is a revisit, and which parts of it are wanted.
@@ -72,17 +55,27 @@ function Dissector:is_second_pass(number)
   return frame_key.number(self.newest_key) > number
 end
 
+-- Set what a packet has of a frame.
+-- id  29-bit CAN id
+local function fill(self, frame, tvb, pinfo, id)
+  local number = pinfo.number
+  frame.key = number * PACKET + offset_of(tvb)
+  frame.number = number
+  frame.time = pinfo.rel_ts
+  frame.can_id = fields_of[id]
+  -- Without bytes raw() would throw past Lua: not even pcall catches that.
+  frame.data = length_of(tvb) > 0 and raw_of(tvb) or ""
+  frame.reported = reported_of(tvb)
+  if self.bus_is_per_packet then
+    local bus, is_bus_known = self.buses.bus_of(number, pinfo)
+    frame.bus, frame.is_bus_known = bus or false, is_bus_known
+  end
+end
+
 -- Return whether a frame of zeros is a remote frame.
 local function is_remote(self, frame, pinfo)
   if frame.visited and frame.can_id.ctrl ~= 0 then return false end -- it was taken for a fragment
   return self.headers:is_remote(pinfo)
-end
-
--- Return the result of the current frame.
-local function read(self, frame)
-  if frame.visited then return self.reading:recall(frame) end
-  if frame.key > self.newest_key then self.newest_key = frame.key end
-  return self.reading:read(frame)
 end
 
 --- Dissect one frame.
@@ -90,29 +83,16 @@ end
 -- accepts_all  true if the user says that every extended frame is YAPP
 -- returns      the number of bytes that are ours, 0 for a frame that is not
 function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
-  local reported, data = reported_of(tvb), ""
-  if length_of(tvb) > 0 then -- else raw() would throw past Lua: not even pcall catches that
-    data = raw_of(tvb)
-  elseif reported == 0 then
-    return 0
-  end
-  local frame, number = self.frame, pinfo.number
-  local key = number * PACKET + offset_of(tvb)
-  frame.key = key
-  frame.number = number
-  frame.time = pinfo.rel_ts
-  frame.can_id = fields_of[id]
-  frame.data = data
-  frame.reported = reported
+  local frame, reading = self.frame, self.reading
+  fill(self, frame, tvb, pinfo, id)
   frame.accepts_all = accepts_all
-  if self.bus_is_per_packet then find_bus(self, frame, pinfo) end
   -- A frame above the newest one is new, and in tshark's first pass all frames want the same.
-  local wants = self.wants.first_pass
-  if key <= self.newest_key or wants ~= self.asked then
-    wants = ask(self, frame, pinfo, tree)
-  end
-  if ZEROS[data] and is_remote(self, frame, pinfo) then return 0 end
-  local result = read(self, frame)
+  local key, wants = frame.key, self.wants.first_pass
+  local is_new = key > self.newest_key
+  if not is_new or wants ~= self.asked then wants = ask(self, frame, pinfo, tree) end
+  if frame.reported == 0 or ZEROS[frame.data] and is_remote(self, frame, pinfo) then return 0 end
+  if is_new then self.newest_key = key end
+  local result = (frame.visited and reading.recall or reading.read)(reading, frame)
   if not result then
     self:remember(tvb, pinfo, id)
     return 0
@@ -120,7 +100,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
   if wants.shows or not result.is_usual then
     self.view:show_frame(result, wants, tvb, pinfo, tree)
   end
-  return reported
+  return frame.reported
 end
 
 --- Remember an extended data frame that is not YAPP's, so far: a tap of its packet counts it.
@@ -130,11 +110,8 @@ function Dissector:remember(tvb, pinfo, id)
   id = id or self.headers:find_id(pinfo)
   if not id then return end
   local frame = records.new_can_frame()
-  frame.number, frame.time, frame.visited = pinfo.number, pinfo.rel_ts, pinfo.visited
-  frame.key = frame.number * PACKET + offset_of(tvb)
-  frame.can_id = fields_of[id]
-  frame.seq, frame.data, frame.reported = frame.can_id.seq, raw_of(tvb), reported_of(tvb)
-  if self.bus_is_per_packet then find_bus(self, frame, pinfo) end
+  fill(self, frame, tvb, pinfo, id)
+  frame.visited, frame.seq = pinfo.visited, frame.can_id.seq
   self.refused = frame
 end
 

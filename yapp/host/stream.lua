@@ -13,6 +13,7 @@ local addresses = require "yapp.host.addresses"
 local band = require "yapp.base.bits".band
 local frame = require "yapp.wire.frame"
 local frame_key = require "yapp.base.frame_key"
+local joined = require "yapp.base.joined"
 local lines = require "yapp.serial.lines"
 local usb = require "yapp.serial.usb"
 local wrapper = require "yapp.host.wrapper"
@@ -50,7 +51,7 @@ local function read_segment(tvb, pinfo)
 end
 
 --- Make the dissector.
--- parts  { reading = a reading.reading, view = a show.packet, wants = a show.wants,
+-- parts  { reading = a reading.reading, view = a show.view, wants = a show.wants,
 --          buses = a capture.capture; Protos for the wrappers: tcp_header, usb_header;
 --          counted = function(f) -> f, whose calls are counted }
 function M.new(parts)
@@ -228,20 +229,18 @@ function Dissector:count_headers(pinfo, tvb)
   if count > 0 then count_undecoded(self, pinfo, count) end
 end
 
---- Return the options of tshark that decode conversations that were not: a list, and the number of
--- headers in these.
+--- Return the options of tshark that decode YAPP in packets in which none was found.
+-- returns  a list, and the number of headers that these packets have, 0 if it is not known
 function Dissector:undecoded_options()
-  local list, count = {}, 0
+  local found, list, count = self.buses.found, {}, 0
   for option, headers in pairs(self.undecoded) do
     list[#list + 1], count = option, count + headers
   end
   table.sort(list)
+  if found.has_serial_frames and not self.reading.lines.has_serial then
+    list = joined(found:serial_options(), list)
+  end
   return list, count
-end
-
---- Return whether packets of a serial line came.
-function Dissector:has_serial()
-  return self.reading.lines.has_serial
 end
 
 return M

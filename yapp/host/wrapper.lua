@@ -43,9 +43,10 @@ local function call_inner(inner, tvb, pinfo, tree)
     if length == 0 then return 0 end
     tvb, is_truncated = tvb(0, length):tvb(), false
   end
-  if is_truncated then open = open + 1 end
+  local count = is_truncated and 1 or 0
+  open = open + count
   local ok, taken = pcall(inner.call, inner, tvb, pinfo, tree) -- Wireshark shows the error
-  if is_truncated then open = open - 1 end
+  open = open - count
   return ok and taken or length
 end
 

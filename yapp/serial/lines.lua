@@ -34,12 +34,13 @@ function M.is_ip(kind, address)
 end
 
 -- Make a line.
-local function new_line(bus, bus_key)
+-- bus  its name or nil
+local function new_line(bus)
   return {
-    bus = bus, -- name or nil
-    bus_key = bus_key, -- of a Command and its answers
+    bus = bus,
+    bus_key = "serial", -- of a Command and its answers
     label = bus, -- text that tells its sources apart, nil if nothing does
-    receiver = false, -- of UDP and TCP: the bus of the Commands
+    receiver = nil, -- of UDP and TCP: the bus of the Commands
     has_address = false, -- true if its packets have a sender
     is_tcp = false,
     is_datagram = false, -- of UDP
@@ -72,19 +73,18 @@ function Lines:of(kind, from, port, to, to_port, bus)
   local key = key_of(kind, from, port, to, to_port, bus)
   local line = self.by_key[key]
   if line then return line end
-  if M.is_ip(kind, from) then
-    local name = bus_of(self, from, port)
-    line = new_line(name, name)
+  local is_ip = M.is_ip(kind, from)
+  line = new_line(is_ip and bus_of(self, from, port) or self.buses:name(bus, false))
+  self.by_key[key] = line
+  if is_ip then
     line.receiver, line.has_address = bus_of(self, to, to_port), true
     line.is_tcp, line.is_datagram = kind == M.TCP, kind == M.UDP
     local opposite = self.by_key[key_of(kind, to, to_port, from, port, bus)]
     if opposite then line.conversation = opposite.conversation end
   else
-    line = new_line(self.buses:name(bus, false), "serial")
-    line.label, line.is_complete = bus and line.bus, kind == M.UDP
-    self.has_serial = true
+    line.label = bus and line.bus
+    line.is_complete, self.has_serial = kind == M.UDP, true
   end
-  self.by_key[key] = line
   return line
 end
 
@@ -93,8 +93,8 @@ end
 function Lines:of_adapter(name, device)
   local line = self.by_key[name]
   if not line then
-    line = new_line(name, device)
-    line.has_address = true
+    line = new_line(name)
+    line.bus_key, line.has_address = device, true
     self.by_key[name] = line
   end
   return line

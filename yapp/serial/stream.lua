@@ -15,6 +15,7 @@
 
 local crc = require "yapp.wire.crc"
 local frame = require "yapp.wire.frame"
+local joined = require "yapp.base.joined"
 local memo = require "yapp.base.memo"
 
 local M = {}
@@ -55,9 +56,11 @@ end
 --- Make the streams of a capture.
 -- new_framer  function() -> a serial.framer
 function M.new(new_framer)
+  local streams = {}
   return setmetatable({
     reader = new_framer(), -- of bytes that are complete in themselves
-    by_line = memo(function() return new_stream(new_framer()) end),
+    streams = streams, -- in the order of their first packets
+    by_line = memo(function() return new_stream(new_framer()) end, streams),
     contents_by_key = {}, -- by frame key: the results of Streams:add
     losses = {}, -- see Streams:drops
   }, Streams)
@@ -285,7 +288,7 @@ end
 -- returns    list of { packet = the stream's latest, findings = as from Streams:add }
 function Streams:unfinished(may_go_on)
   local list = {}
-  for _, stream in pairs(self.by_line) do
+  for _, stream in ipairs(self.streams) do
     local findings = {}
     if may_go_on then
       self.reader:add(stream.framer:pending(), true, findings)
@@ -301,13 +304,11 @@ end
 -- returns  list of { time = seconds since 1970, frame = number of the packet behind the gap,
 --          bus = name or nil, count = 1 }
 function Streams:drops()
-  local list = {}
-  for _, loss in ipairs(self.losses) do list[#list + 1] = loss end
-  for _, stream in pairs(self.by_line) do
-    if stream.held[1] then add_loss(list, stream.held[1].packet) end
+  local waiting = {}
+  for _, stream in ipairs(self.streams) do
+    if stream.held[1] then add_loss(waiting, stream.held[1].packet) end
   end
-  table.sort(list, function(a, b) return a.frame < b.frame end)
-  return list
+  return joined(self.losses, waiting)
 end
 
 -- Transfers ---------------------------------------------------------------------------------------
