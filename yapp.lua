@@ -221,14 +221,6 @@ local function search_streams()
   register_heuristic("udp", serial, find_by_content)
 end
 
--- Return the options of tshark that decode YAPP in packets in which none was found, and the number
--- of headers that these have, 0 if it is not known.
-local function find_options()
-  local options, count = streams:undecoded_options()
-  if not buses.found.has_serial_frames or streams:has_serial() then return options, count end
-  return joined(buses.found:serial_options(), options), count
-end
-
 local function make_statistics()
   if stat then return end
   make_reading()
