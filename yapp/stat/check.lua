@@ -10,7 +10,7 @@ local output = require "yapp.stat.output"
 local rules = require "yapp.stat.rules"
 local utf8 = require "yapp.base.utf8"
 
-local M = groups.class { lists_problems = true, add_values = judge.add }
+local M = groups.class { new_values = judge.new, add_values = judge.add, lists_problems = true }
 
 -- Verdicts; order = theirs in the text, case = the element of a report in XML.
 local FAILED = {
@@ -66,11 +66,6 @@ local TOO_FEW = "too few good messages, values that are not reserved, or other s
 local CLOSE = 5 -- percent of the range: what held by less is marked
 local BRIEF = "outside, but not for so long" -- of a rule with for=
 
---- See groups.class.
-function M:new_values(message_type)
-  return judge.new(self.options.rules, message_type, self.spreads)
-end
-
 -- Judging -----------------------------------------------------------------------------------------
 
 -- Return whether a rule is about a source.
@@ -81,7 +76,7 @@ local function is_about(rule, group)
   if kind.scope == "rare" then return group.counts[kind.name].seen > 0 end
   if not kind.about then return group.source.id ~= nil end
   local has = message_type and message_type[kind.about]
-  return has and (type(has) ~= "table" or next(has) ~= nil)
+  return has and (type(has) ~= "table" or next(has))
 end
 
 -- As a measure: judge a rule that no group is about.  A default rule, or one of rare events, holds
@@ -94,7 +89,7 @@ local function measure_none(_, rule, check)
   end
   local preference = rule.source and "sources" or rule.message and rule.message.name .. "_ids"
   local why = preference and ("%s: see yapp.%s"):format(NONE, preference) or NONE
-  return nil, nil, check.ending.reason or why
+  return nil, nil, why
 end
 
 -- Set the margin of a row whose rule was judged: of numbers, not of counts and codes.

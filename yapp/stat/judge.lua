@@ -20,6 +20,7 @@ local INFINITE = math.huge
 --   stretch  of values outside in a row: since = when the first came, and those that did not yet
 --            break the rule
 --   first, second  the latest two numbers, for noise
+--   since    when its condition began to hold
 local function new_series(rule, spreads)
   local series = {
     rule = rule,
@@ -39,37 +40,41 @@ local function new_series(rule, spreads)
   return series
 end
 
---- Make the state of a source, a list of gates: the series of the rules with one condition, with
--- rule = one of them, since = when the condition began to hold.  It has the series by rule, too.
--- rules    all of them: those about values of the message type count
--- spreads  [rule] = spread of groups
-function M.new(rules, message_type, spreads)
+--- Make the state of a source: its series, a list, also by rule.
+-- check  { options = see stat.options, its rules about values of the message type count; spreads =
+--        see stat.groups }
+function M.new(check, message_type)
   local state = {}
-  local gates = memo(function() return {} end, state)
-  for _, rule in ipairs(rules) do
+  for _, rule in ipairs(check.options.rules) do
     if rule.field and rule.message == message_type then
-      local series, gate = new_series(rule, spreads), gates[rule.condition]
-      gate.rule, gate[#gate + 1], state[rule] = rule, series, series
+      local series = new_series(rule, check.spreads)
+      state[#state + 1], state[rule] = series, series
     end
   end
   return state
 end
 
--- Return whether a condition holds, for as long as it must; nil if the message does not tell.
-local function is_open(gate, numbers, at)
-  local is_known = true
-  for _, test in ipairs(gate.rule.tests) do
+-- Begin what must last anew.
+local function restart(series)
+  series.since, series.stretch, series.first, series.second = nil, nil, nil, nil
+end
+
+-- Return whether a rule judges a message: whether its condition holds, for as long as it must; nil
+-- if the message does not tell.
+local function is_judged(series, numbers, at)
+  local is_known, rule = true, series.rule
+  for _, test in ipairs(rule.tests) do
     local value = numbers[test.field]
     if test.mask then value = band(value, test.mask) ~= 0 and 1 or 0 end
     if value < test.low or value > test.high then
-      gate.since = nil
+      restart(series)
       return false
     end
     is_known = is_known and value == value
   end
   if not is_known then return nil end
-  gate.since = gate.since or at
-  return span(gate.since, at) >= gate.rule.after
+  series.since = series.since or at
+  return span(series.since, at) >= rule.after
 end
 
 -- Return the limits of a value: of `over` at a value of the other field; nil outside the points.
@@ -158,19 +163,14 @@ function M.add(state, event, longest, gap)
   local begins = gap > longest or change and change.reboot
   -- Rules share fields: work their numbers out once.
   local numbers = memo(function(field) return groups.number_in(field, event.raws) end)
-  for _, gate in ipairs(state) do
-    if begins then gate.since = nil end
-    local is_judged = is_open(gate, numbers, event.at)
-    for _, series in ipairs(gate) do
-      if begins or is_judged == false then
-        series.stretch, series.first, series.second = nil, nil, nil
-      end
-      local value = is_judged and numbers[series.field] or NO_NUMBER
-      if is_judged then add_value(series, value, numbers, event) end
-      if series.spread and is_judged ~= nil then
-        groups.update_spread(series, value, event, longest)
-      end
+  for _, series in ipairs(state) do
+    if begins then restart(series) end
+    local answer, value = is_judged(series, numbers, event.at), NO_NUMBER
+    if answer then
+      value = numbers[series.field]
+      add_value(series, value, numbers, event)
     end
+    if series.spread and answer ~= nil then groups.update_spread(series, value, event, longest) end
   end
 end
 
@@ -178,13 +178,11 @@ end
 -- frame: { rule, value, share }, where share is negative outside; nil for none.
 function M.latest(state, frame)
   local nearest
-  for _, gate in ipairs(state) do
-    for _, series in ipairs(gate) do
-      local share = series.frame == frame and M.margin(series)
-      if share and not (nearest and nearest.share <= share) then
-        local value = round(series.field, series.value)
-        nearest = { rule = series.rule, value = value, share = share }
-      end
+  for _, series in ipairs(state) do
+    local share = series.frame == frame and M.margin(series)
+    if share and not (nearest and nearest.share <= share) then
+      local value = round(series.field, series.value)
+      nearest = { rule = series.rule, value = value, share = share }
     end
   end
   return nearest
