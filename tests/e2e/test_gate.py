@@ -412,28 +412,15 @@ def test_a_single_frame_of_another_size(folder):
 
 
 @pytest.mark.parametrize("option", [("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp_all")])
-def test_a_message_of_another_size_counts_once(option):
-    """Decode As asks for it after the table of ids has refused it."""
-    done = tshark.run("-q", "-r", tshark.CAPTURES / "can/wrong_size.pcap", *option, "-z", "yapp,events,json", check=False)
-    counts = [(row["id"], row["size"], row["count"]) for row in map(json.loads, done.stdout.splitlines()) if row["kind"] == "unknown"]
-    assert counts == [(0, 6, 1), (0, 8, 1), (0x210, 31, 1), (0x200, 8, 1)]
-
-
-@pytest.mark.parametrize("option", [("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp_all")])
-@pytest.mark.parametrize("form", ["log", "log of two buses", "pcapng"])
-def test_single_frames_of_an_unknown_id_where_all_frames_are_yapp(folder, option, form):
+def test_single_frames_of_an_unknown_id_where_all_frames_are_yapp(folder, option):
     """They are shown as bytes, so they count as not decoded: from the first packet on, though nothing tells its CAN id."""
     frames = [Frame(1 << 18 | index, command_payload(1)) for index in range(3)] + Sent(MOTOR, 0, 1, motor_payload(1)).frames()
-    if form == "log of two buses":
-        frames.append(Frame(5, bytes(8), kind="standard", bus=1))
-    if form == "pcapng":
-        (folder / "run").write_bytes(pcapng([(BEGIN + index, one) for index, one in enumerate(frames)], ("can0",)))
-    else:
-        (folder / "run").write_text("".join(
-            f"(1700000000.{index:06d}) can{one.bus} {one.can_id:0{3 if one.kind == 'standard' else 8}X}#{one.data.hex().upper()}\n"
-            for index, one in enumerate(frames)))
-    (line,) = undecoded_faults("-r", folder / "run", *option)
-    assert line.startswith("3 messages were not decoded: can0 0x1 (7 bytes each, the size of Command)")
+    (folder / "run").write_text("".join(f"(1700000000.{index:06d}) can0 {one.can_id:08X}#{one.data.hex().upper()}\n"
+                                        for index, one in enumerate(frames)))
+    (folder / "run.pcapng").write_bytes(pcapng([(BEGIN + index, one) for index, one in enumerate(frames)], ("can0",)))
+    for name in ("run", "run.pcapng"):
+        (line,) = undecoded_faults("-r", folder / name, *option)
+        assert line.startswith("3 messages were not decoded: can0 0x1 (7 bytes each, the size of Command)")
 
 
 def test_remote_frames_beside_data_of_zeros(folder):
@@ -456,17 +443,6 @@ def test_remote_frames_beside_data_of_zeros(folder):
         assert [(one["kind"], one["id"]) for one in events] == [("silence", 0x200)]  # of the one message of Health
     for capture in folder / "run.pcapng", tshark.ROOT / "test_captures/can/remote_frames.pcap":
         assert tshark.run("-q", "-r", capture, "-z", "yapp,check,incomplete=0,crc=0,invalid=0").returncode == 0
-
-
-def test_one_id_with_two_messages(folder):
-    """The same ID carries Motor Data on one bus and Health on the other: no preference of IDs can say it, yapp.sources can."""
-    (folder / "run.pcapng").write_bytes(controllers([(0, 0x211, overheated), (1, 0x211, health_payload), (0, 0x300, health_payload)]))
-    capture = folder / "run.pcapng"
-    (line,) = undecoded_faults("-o", "yapp.health_ids:0x205", "-r", capture)
-    assert advice(line) == ["-o", "yapp.health_ids:0x205,0x300"]
-    names = "yapp.sources:can0/0x211=motor:,can1/0x211=health:"
-    done = tshark.run("-o", names, *advice(line), "-q", "-r", capture, "-z", "yapp,faults", "-z", "yapp,check,unknown=0")
-    assert "motor_overcurrent" in done.stdout and "not decoded" not in done.stdout
 
 
 def test_what_no_message_is_found_in(folder):
