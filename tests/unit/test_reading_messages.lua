@@ -132,6 +132,13 @@ function T.test_what_the_history_is_asked()
   lu.assertEquals(m.state, { drift = 1, command_in = 5 })
 end
 
+-- In a stream, the ID of a damaged frame may be damaged, too.
+function T.test_the_time_since_the_message_before()
+  for _, row in ipairs { { "good", nil, 1 }, { "bad", nil, 1 }, { "good", {}, 1 }, { "bad", {}, false } } do
+    lu.assertEquals(read(HEALTH, {}, { status = row[1], line = row[2] }).delta, row[3])
+  end
+end
+
 -- A copy changes no history.
 function T.test_a_copy()
   local m, asked = read(MOTOR, { [at(MOTOR, "fault_flags")] = 1 }, { copy_of = 5, wants_state = true,

@@ -439,15 +439,14 @@ function Reassembly:recall(frame)
 end
 
 --- Return the messages that the capture ends before, in the order of their Starts: a list of
--- { message, key = frame key of its latest frame, is_lost = true if a later Start or an End came }.
+-- { message, key = frame key of its latest frame }.
 function Reassembly:unfinished()
   local list = {}
   for _, newest in pairs(self.open) do
     local open, behind = newest, 0 -- frames of the next Start
     while open do
-      local is_lost = open ~= newest or open.is_overtaken or open.chunks.ends ~= nil
       if not open.is_copy then
-        list[#list + 1] = { message = open, key = open[#open - behind], is_lost = is_lost }
+        list[#list + 1] = { message = open, key = open[#open - behind] }
       end
       open, behind = open.older, #open - 1
     end

@@ -25,7 +25,6 @@ local M = {}
 local HEADER = require("yapp.wire.frame").HEADER
 local BUS, START = can_id.BUS, can_id.START
 local NONE = {} -- to be read only
-local LOST = { { expert = "fragment.incomplete", text = "" } } -- of a message without an End
 
 local Reading = {}
 Reading.__index = Reading
@@ -125,6 +124,8 @@ local function add_history(self, message, frame)
   message.change, message.delta = change or false, delta or false
   if delta == nil or change and change.unreliable then message.is_unreliable = true end
   message.state = frame.wants_state and self.history:state(message) or false
+  -- In a stream, the ID of a damaged frame may be damaged, too.
+  if message.source.line and message.status ~= "good" then message.delta = false end
 end
 
 local function is_plain(message)
@@ -296,13 +297,11 @@ end
 -- The CAN messages that the capture ends before.
 local function finish_frames(self, list)
   for _, open in ipairs(self.reassembly:unfinished()) do
-    local transfer, frame = open.message, records.new_can_frame()
-    frame.key, frame.number, frame.time = open.key, number_of(open.key), transfer.time
+    local transfer, key, frame = open.message, open.key, records.new_can_frame()
+    frame.key, frame.number, frame.time = key, number_of(key), transfer.time
     frame.source, frame.seq = transfer.source, transfer.slot % 0x100
     frame.can_id = can_id.fields[transfer.slot % BUS]
-    local result = records.new_result(open.is_lost and "other" or "unfinished", frame)
-    if open.is_lost then result.anomalies = LOST end
-    list[#list + 1] = result
+    list[#list + 1] = records.new_result("unfinished", frame)
   end
 end
 

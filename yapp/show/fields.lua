@@ -182,10 +182,9 @@ end
 --- Return seconds, a double, as a time to the nanosecond.
 function M.relative_time(seconds)
   local sign = seconds < 0 and -1 or 1
-  local count = math.floor(sign * seconds * 1e9 + 0.5)
-  local nanoseconds = count % 1e9
-  local whole = math.floor((count - nanoseconds) / 1e9 + 0.5) -- a long time is no exact number
-  return NSTime.new(sign * whole, sign * nanoseconds)
+  local nanoseconds = math.floor(sign * seconds * 1e9 + 0.5)
+  local rest = nanoseconds % 1e9
+  return NSTime.new(sign * (nanoseconds - rest) / 1e9, sign * rest)
 end
 
 return M

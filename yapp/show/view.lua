@@ -136,30 +136,17 @@ local function add_payload(self, message, name, offset)
   if self.wants.yapp and length > 0 then put_bytes(self, name, self.offset + offset, length) end
 end
 
--- Add the expert item of a payload that does not have the catalogue's size.
--- returns  its text
-local function add_mismatch(self, message)
-  local source, size = message.source, bytes_text(message.transfer.size)
-  local least, most = source.min_size, source.size
-  local known = least < most and ("%d to %d"):format(least, most) or most
-  local text = ("%s, %s, the catalogue says %s"):format(source.label, size, known)
-  add_expert(self, "size.mismatch", text)
-  return text
-end
-
 -- Show that an ID is not in the catalogue, and which message type has the size.
 -- returns  the text for the Info column
 local function show_unknown(self, message)
-  local id, size = message.source.id, message.transfer.size
-  local text = ("Message ID 0x%x is not in the catalogue"):format(id)
-  local info = ("%s  %s"):format(message.source.label, bytes_text(#message.payload))
+  local source, size = message.source, message.transfer.size
+  local info = ("%s  %s"):format(source.label, bytes_text(#message.payload))
   local like = message.status == "good" and catalogue_compiler.of_size(self.messages, size)[1]
   if like then
-    if self.wants.yapp then put(self, "like." .. like.name, id) end
-    local hint = ", the size of " .. like.title
-    text, info = text .. hint, info .. hint
+    if self.wants.yapp then put(self, "like." .. like.name, source.id) end
+    info = ("%s, the size of %s"):format(info, like.title)
   end
-  add_expert(self, "id.unknown", text)
+  add_expert(self, "id.unknown")
   return info
 end
 
@@ -174,13 +161,17 @@ end
 
 -- Show the bytes of a message without values; return the text for the Info column.
 local function show_bytes(self, message)
-  local transfer, label, count = message.transfer, message.source.label, #message.payload
+  local transfer, source = message.transfer, message.source
+  local label, least, most = source.label, source.min_size, source.size
   add_payload(self, message, "payload", 0)
   if transfer.status == "incomplete" or transfer.status == "overrun" then
-    local received = transfer.received or count
+    local received = transfer.received or #message.payload
     return ("%s  %d of %d bytes"):format(label, received, transfer.size)
   end
-  return message.source.type and add_mismatch(self, message) or show_unknown(self, message)
+  if not most then return show_unknown(self, message) end
+  add_expert(self, "size.mismatch")
+  local known = least < most and ("%d to %d"):format(least, most) or most
+  return ("%s, %s, the catalogue says %s"):format(label, bytes_text(transfer.size), known)
 end
 
 -- Show that a transfer is not good.
@@ -188,8 +179,7 @@ end
 local function show_damage(self, transfer, info)
   local status = transfer.status
   if status ~= "bad" then return ("%s  [%s]"):format(info, status:upper()) end
-  local text = "Received 0x%08x, expected 0x%08x"
-  add_expert(self, "crc.bad", text:format(transfer.crc, transfer.calculated))
+  add_expert(self, "crc.bad")
   return "BAD CRC  " .. info
 end
 
@@ -220,7 +210,7 @@ local function show_message(self, result)
   end
   if message.undecoded then
     add_payload(self, message, "undecoded", message.source.size)
-    add_mismatch(self, message)
+    add_expert(self, "size.mismatch")
     local size = bytes_text(transfer.size)
     info = ("%s  [%s, %d not decoded]"):format(info, size, message.undecoded)
   end
