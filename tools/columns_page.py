@@ -6,8 +6,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "src"))  # that of this tree, installed or not
 from yapp_tables import Tshark
-from yapp_tables.matrix import DEGREES
 from yapp_tables.records import TABLES, column, columns_of
+from yapp_tables.series import DEGREES
 from yapp_tables.tables import ABOUT_HEAD, DURATION, KIND, SCHEMA, TIME, messages
 
 NAMES = {TIME: "time", DURATION: "duration", KIND: "text"}
@@ -23,7 +23,6 @@ ends. The sum of `active` is how long a flag was set.""",
 A row for each bus and ID. Good messages have a good CRC, or need none. If a source counts by Seq
 No, a damaged message is `missing`, too, and the lost share is `missing / (count + missing)`.
 Otherwise it is `(crc_bad + incomplete) / (count + crc_bad + incomplete)`.""",
-    "statistics": "A row for each field of each source.",
     "steps": """\
 A row for each change of a command by 5 % of its range or more, if the command held for 0.5 s. Times
 are by the controller's clock, on lines between two messages. `resolution` is their distance.""",
@@ -101,7 +100,7 @@ def unit(column):
 print(HEAD)
 print("## Every message\n")
 print(table((f"`{name}`", name_of(type_), "", text) for name, (type_, text) in ABOUT_HEAD.items()))
-fields = Tshark(plugin=str(Path(__file__).parents[1] / "yapp.lua")).fields()[0]
+fields = Tshark(plugin=str(Path(__file__).parents[1] / "yapp.lua")).fields()
 for name, message in messages(fields).items():
     print(f"\n## {name}: {message.title}\n\nThe columns of every message, then:\n")
     columns = message.columns

@@ -16,7 +16,7 @@ import pyarrow as pa
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from yapp_tables.flight import Flight
-from yapp_tables.records import EVENTS, table
+from yapp_tables.limits import Limits
 from yapp_tables.report import write_report
 from yapp_tables.tables import Column, Message
 
@@ -70,11 +70,9 @@ def flight(hours, controllers):
     made = Flight.__new__(Flight)
     columns = {name: Column(name, pa.float64(), "value", name.replace("_", " "), unit) for name, unit in FIELDS.items()}
     columns["timestamp"] = Column("timestamp", pa.float64(), "clock", "timestamp", "s")
-    made.name, made.flight_id, made.begin, made.partial, made.undecoded = "long.pcapng", "0" * 8, START, "", ""
-    made.complaints, made.plugin, made.catalogue, made.aircraft = [], "", "", None
-    made.events, made.messages = table([], EVENTS), {"motor": Message("motor", "Motor Data", 0.1, columns)}
-    made.heads = {}
-    made.summary = made.statistics = pa.table({name: pa.array([], pa.string()) for name in ("message", "field")})
+    made.name, made.begin, made.left_out, made.plugin, made.catalogue = "long.pcapng", START, [], "", ""
+    made.messages = {"motor": Message("motor", "Motor Data", 0.1, columns)}
+    made.events = made.summary = pa.table({name: pa.array([], pa.int64()) for name in ("id", "time", "message")})
     made._titles, made._tables = {"motor": "Motor Data"}, {"motor": motor_data(hours, controllers)}
     return made
 
@@ -125,7 +123,7 @@ def measure(page):
 def main(hours=2.0, controllers=12):
     with tempfile.TemporaryDirectory() as folder:
         page = pathlib.Path(folder, "page.html")
-        write_report([flight(hours, controllers)], page)
+        write_report(flight(hours, controllers), page, Limits())
         size = page.stat().st_size / 1e6
         paint, ready, took, zoom, settled = measure(page)
     print(f"{hours:g} hours, {controllers} controllers: {size:.1f} MB (limit {MEGABYTES}), first paint {paint:.2f} s (limit {PAINT}), "

@@ -12,7 +12,6 @@ import struct
 import subprocess
 import sys
 from collections import Counter
-from decimal import Decimal
 from pathlib import Path
 
 import aircraft
@@ -20,7 +19,8 @@ import flights
 import numpy as np
 import pytest
 from running import PLUGIN, run_tables
-from yapp_tables import baseline, loads
+from yapp_tables import baseline
+from yapp_tables.series import Samples
 
 NAMES = {("can0", 0x210): "fl", ("can0", 0x211): "fr", ("can1", 0x210): "rl", ("can1", 0x211): "rr"}
 SOURCES = ",".join(
@@ -213,89 +213,12 @@ def test_an_enum_that_never_changed(learnt, tmp_path):
 def test_ratios():
     """10 A beside 8, 7 and 2.5 A are 1.429 times their median; a mean near 0 gives no ratio."""
     numbers = {"a": (10, 12), "b": (8, 9), "c": (7, 9), "e": (2.5, 9)}
-    sources = [{"source": name, "mean": mean, "max": top} for name, (mean, top) in numbers.items()]
-    found = {name: round(float(ratio), 3) for name, ratio in baseline._ratios(sources).items()}
+    values = {name: {"mean": mean, "max": top} for name, (mean, top) in numbers.items()}
+    found = {name: round(ratio, 3) for name, ratio in baseline._ratios(values).items()}
     assert found == {"a": 1.429, "b": 1.143, "c": 0.875, "e": 0.312}
     for mean, top in ((0.9, 90), (-7, 12), (None, None)):
-        assert baseline._ratios([*sources, {"source": "d", "mean": mean, "max": top}]) == {}, mean
-    assert baseline._ratios(sources[:1]) == {}
-
-
-def test_a_ratio_has_half_of_the_room():
-    found = row((1, 1), (1, 1), ("1.2", "1.2"))
-    rules = [
-        baseline._rule("", f"m.x.{measure}", (found, found, (Decimal(0), Decimal(0))), Decimal("0.1"))
-        for measure in ("mean", "ratio")
-    ]
-    # Above: 2.5 % of 1.2, and twice 0.2; below: 2.5 % of 1.
-    assert [rule.text for rule in rules] == ["m.x.mean=0.975..1.63", "m.x.ratio=0.987..1.42"]
-
-
-def test_what_counts_have_room_for():
-    """20 beside 10 are 5 beyond the median: twice that, and a margin of 2."""
-    flights = {
-        name: [{"rule": "fault=0", "seen": seen} for seen in (3, most)] + [{"rule": "absent=0", "seen": None}]
-        for name, most in (("a", 10), ("b", 20))
-    }
-    rules = [(rule.source, rule.text, rule.comment) for rule in baseline._counted(flights, Decimal("0.1"))]
-    assert rules == [("", "fault=32", "20 in b"), ("", "absent=0", "")]
-
-
-@pytest.mark.parametrize(
-    ("seen", "limit", "is_rule"),
-    [(("0.1", "0.2"), "0.32", True), (("0.01",), "0.05", True), (("1",), "1.1", False), ((), "0", False)],
-)
-def test_the_share_of_reserved_values(seen, limit, is_rule):
-    """As for counts; at least 5 %; no rule that every flight keeps."""
-    rule = baseline.Rule("", "m.x.special=0", lost="by all")
-    rule.seen = [(Decimal(share), f"flight{number}") for number, share in enumerate(seen)]
-    assert baseline._learn_share(rule, Decimal("0.1")) is is_rule
-    assert rule.text == f"m.x.special={limit}"
-    assert (rule.lost, rule.comment) == (("", f"{seen[-1]} in flight{len(seen) - 1}") if seen else ("by all", ""))
-
-
-def test_what_the_gate_says_of_the_rules():
-    rules = [baseline.Rule(source, "x=1") for source in ("a", "")] + [baseline.Rule("a", "y=1")]
-    verdicts = {
-        "one": [
-            {"source": "a", "rule": "x=1", "seen": 2, "ok": True, "note": None},
-            {"source": "b", "rule": "x=1", "seen": None, "ok": None, "note": "why"},
-            {"source": "a", "rule": "y=1", "seen": 3, "ok": False, "note": "of 9"},
-            {"source": "a", "rule": "z=1", "seen": 3, "ok": False, "note": None},
-        ]
-    }
-    baseline._mark_lost(rules, verdicts)
-    assert [rule.seen for rule in rules] == [[(2, "one")], [], [(3, "one")]]
-    assert [rule.lost for rule in rules] == ["", "one does not keep it (why)", "one does not keep it (3 of 9)"]
-
-
-def test_the_text_of_rules():
-    """A source of which no rule is kept is a comment as a whole."""
-    rules = [baseline.Rule("b", "x=1", lost="no"), baseline.Rule("a", "y=2", "why"), baseline.Rule("", "z=3")]
-    assert baseline._text("head\n", [*rules, baseline.Rule("a", "w=4", lost="no")]) == (
-        f"head\nz=3\n\nsource=a\n{'y=2':<48} # why\n# w=4: no\n\n# source=b\n# x=1: no\n"
-    )
-
-
-def row(*ends):
-    return [(Decimal(low), Decimal(high), f"flight{number}") for number, (low, high) in enumerate(ends)]
-
-
-def test_flights_of_one_controller_that_are_alike_by_chance():
-    """Its highest values are all 8; those of the others are 1 apart, and a step is 0.5."""
-    others = [row((1, 5), (1, "5.5"), (1, 6)), row((2, 8), (2, "8.5"), (2, 9))]
-    extremes = {("", "m.t.numbers"): row((1, 8), (1, 8), (1, 8))}
-    extremes |= {(str(number), "m.t.numbers"): found for number, found in enumerate(others)}
-    assert baseline._least_apart(extremes) == {"m.t.numbers": (Decimal("0.5"), Decimal("0.5"))}
-    one = {("", "m.t.numbers"): row((1, 8))}  # that 1 and 8 are 7 apart says nothing
-    assert baseline._least_apart(one) == {"m.t.numbers": (0, 0)}
-    extremes["", "m.t.spread"] = row((3, 3), (3, 3))
-    extremes["", "m.t.mean"] = row((4, 4), (4, 4))
-    least = baseline._least_apart(extremes)
-    assert least["m.t.spread"] == (Decimal("0.5"), Decimal("0.5"))
-    assert least["m.t.mean"] == (0, 0)
-    apart = {("1", "m.x.numbers"): row((0, 1), (3, 4), (0, 1)), ("2", "m.x.numbers"): row((-7, 1), (0, 5), (0, 1))}
-    assert baseline._least_apart(apart)["m.x.numbers"] == (Decimal("3.5"), Decimal("3.5"))
+        assert baseline._ratios(values | {"d": {"mean": mean, "max": top}}) == {}, mean
+    assert baseline._ratios({"a": values["a"]}) == {}
 
 
 def test_without_names(learnt, tmp_path):
@@ -336,7 +259,7 @@ def test_what_is_left_out_is_said(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("cut", "code", "text"), [(40_000, 1, "cut short"), (24, 1, "no message was decoded"), (0, 1, "no such file")]
+    ("cut", "code", "text"), [(40_000, 1, "cut short"), (24, 1, "no YAPP messages"), (0, 1, "no such file")]
 )
 def test_what_no_limits_can_be_learnt_from(learnt, tmp_path, cut, code, text):
     content = (learnt / "good0.pcapng").read_bytes()
@@ -352,8 +275,11 @@ def test_a_margin_that_is_none(learnt):
     assert "10 is not a share such as 10%" in learn(learnt, "good0.pcapng", "--margin", "10", code=2)
 
 
-def samples_of(flight, x, y):
-    return loads.Samples(flight, np.arange(len(x)) / 10, {"x": np.array(x, float), "y": np.array(y, float)}, {})
+def samples_of(x, y):
+    about = {name: {"role": "value"} for name in "xy"}
+    columns = {"x": np.array(x, float), "y": np.array(y, float)}
+    times = np.arange(len(x)) / 10
+    return Samples("left", "left", "m", "M", 0.1, about, times, np.arange(len(x)), columns, {("can0", 0x210)})
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -361,7 +287,7 @@ def test_what_lasts(seed):
     """Of each stretch so long its least value, of these the largest; a gap ends it, a reserved value does not."""
     rng, length = random.Random(seed), random.Random(seed).randrange(5)
     values = [rng.choice([math.nan, *range(9), *range(9)]) for _ in range(40)]
-    one = samples_of("a", values, values)
+    one = samples_of(values, values)
     one.times[20:] += 1
     stretches = []
     for begin, end in ((0, 20), (20, 40)):
@@ -370,7 +296,7 @@ def test_what_lasts(seed):
             last = next((other for other in kept[place:] if other - at >= length), None)
             if last is not None:
                 stretches.append([values[other] for other in kept if at <= other <= last])
-    assert loads.held(one, one.values["x"], length, 0.1) == (max(map(min, stretches)), min(map(max, stretches)))
+    assert baseline.held(one, one.columns["x"], length, 0.1) == max(map(min, stretches))
 
 
 def test_limits_over_another_field():
@@ -378,30 +304,27 @@ def test_limits_over_another_field():
     rng, found = random.Random(3), []
     for number in range(10):
         x = [15 + 5 * math.sin(at / 40 + rng.random()) for at in range(600)]
-        found.append(samples_of(f"f{number}", x, [at**2 * (1 + 0.01 * (number - 5) / 5) for at in x]))
-    (finding,) = loads._over("left", "m", found, ("y", "x"), (10, 0.1))
-    assert (finding.source, finding.what, len(finding.found)) == ("left", "m.y.over(x)", 10)
+        found.append((f"f{number}", samples_of(x, [at**2 * (1 + 0.01 * (number - 5) / 5) for at in x])))
+    (finding,) = baseline._over("m", found, ("y", "x"), (10, 0.1))
+    assert (finding.what, len(finding.found)) == ("m.y.over(x)", 10)
     low, high = (fold(end for row in finding.found for end in row[:2]) for fold in (min, max))
     text = finding.write(str(low), str(high))
     assert text.startswith("m.y.over(x)=")
     assert " when=x=" in text
     assert text.endswith(" after=1 for=1")
     points = [re.fullmatch(r"(.*):(.*)\.\.(.*)", part).groups() for part in text[12:].partition(" ")[0].split(";")]
-    assert len(points) == loads.POINTS
+    assert len(points) == baseline.POINTS
     for at, bottom, top in (map(float, point) for point in points):
         assert at**2 * 0.9 < bottom < at**2 < top < at**2 * 1.1
-    assert list(loads._over("left", "m", found[:2], ("y", "x"), (10, 0.1))) == [] or loads.having(found[:2], "y") == []
+    assert baseline._having(found[:2], "y") == []
 
 
 def test_a_rule_is_tried_on_flights_that_have_no_part_in_it():
     """Nine flights show 1; one shows 100, which limits of the others do not cover: the rule is a comment."""
-    alike = row(*[(1, 1)] * 9)
-    for more, lost in (
-        ([], ""),
-        ([(Decimal(100), Decimal(100), "odd")], "flights differ too much: 1 of 10 do not keep it"),
-    ):
-        found = alike + more
-        assert baseline._rule("", "m.x.mean", (found, found, (Decimal(0), Decimal(0))), Decimal("0.1")).lost == lost
+    alike = [(1.0, 1.0, f"flight{number}") for number in range(9)]
+    for more, lost in (([], ""), ([(100.0, 100.0, "odd")], "flights differ too much: 1 of 10 do not keep it")):
+        one = baseline.Finding("", "m.x.mean", alike + more)
+        assert baseline._rule(one, one.found, (0.0, 0.0), 0.1).lost == lost
 
 
 def test_what_aircraft_show_under_load(tmp_path):

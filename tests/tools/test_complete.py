@@ -33,7 +33,7 @@ def capture(make_capture):
 def test_read_warns(capture):
     with pytest.warns(UserWarning, match=re.escape(SENTENCE)):
         flight = yt.read(capture, tshark=FAKE)
-    assert flight.undecoded == SENTENCE
+    assert flight.left_out == [SENTENCE]
     with pytest.raises(KeyError) as missing:
         flight["note"]
     assert str(missing.value) == f"flight.pcapng has no decoded Note: {SENTENCE}"
@@ -82,7 +82,7 @@ def test_a_named_plugin_that_is_not_used_is_said(make_capture, yapp_tables):
 def test_headers_that_were_not_decoded_are_said(make_capture):
     says = "yapp: 12 YAPP headers in this file were not decoded; try -d udp.port==9000,yapp_serial"
     with pytest.warns(UserWarning, match="12 YAPP headers"):
-        assert yt.read(make_capture("f.pcapng", motor=[motor_row(0)], says=says), tshark=FAKE).undecoded == says[6:]
+        assert yt.read(make_capture("f.pcapng", motor=[motor_row(0)], says=says), tshark=FAKE).left_out == [says[6:]]
 
 
 def test_events_that_nothing_could_be_told_of_are_no_damage(make_capture):

@@ -53,7 +53,7 @@ def test_types_and_what_the_metadata_says(flight):
     motor = yt.read(flight[0], options=flights.OPTIONS, plugin=PLUGIN)["motor"].schema
     assert motor.names[:8] == ["time", "source_file", "bus", "frame", "source", "controller", "id", "seq"]
     assert motor.field("time").type == pa.timestamp("ns", tz="UTC")
-    assert [motor.metadata[key] for key in (b"title", b"every", b"schema")] == [b"Motor Data", b"0.1", b"5"]
+    assert [motor.metadata[key] for key in (b"title", b"every", b"schema")] == [b"Motor Data", b"0.1", b"6"]
     kind = pa.dictionary(pa.int32(), pa.string())
     types = {"rpm_measured": pa.float64(), "motor_mode": pa.uint8(), "motor_mode_text": kind, "bus": kind}
     types |= {"fault_flags": pa.uint32(), "fault_motor_stall": pa.bool_(), "esc_temperature_special": kind}
@@ -150,7 +150,7 @@ def test_a_cut_capture_is_partial(flight, tmp_path):
     cut.write_bytes(flight[0].read_bytes()[:-50_005])
     done = run_tables(tmp_path, "convert", cut, "--to", "parquet", "--out", "data", *OPTIONS, "--plugin", PLUGIN)
     assert done.returncode == 1
-    assert "cut short" in (tmp_path / "data.yapp-tables/failures.csv").read_text()
+    assert "cut short" in done.stderr
     assert list((tmp_path / "data/message=motor").glob("cut-????????.partial.parquet"))
 
 

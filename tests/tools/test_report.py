@@ -18,7 +18,7 @@ from running import PLUGIN, motor_row, run_tables
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
-from yapp_tables import palette
+from yapp_tables import pages
 
 SECONDS = 120
 EXAMPLE = Path(__file__).parents[2] / "docs/flight.pcapng"
@@ -268,44 +268,6 @@ def test_a_click_on_a_fault_zooms_to_it_on_all_axes(browser):
     assert all(low - 1 < trace["x"][0] and trace["x"][-1] < high + 1 for trace in shown if trace["x"])
 
 
-def test_gaps_are_gaps_and_reserved_counts_are_marks(browser, page):
-    truth = page[1]
-    show(browser, 0, SECONDS)
-    (line,) = traces(browser, "RPM Measured, can1 0x210")
-    (silence,) = [row for row in truth.silences if row[3] > 1e9]
-    begin = (silence[0] - truth.begin) / 1e9
-    inside = [
-        y for x, y in zip(line["x"], line["y"], strict=True) if begin + 0.05 < x < begin + silence[3] / 1e9 - 0.05
-    ]
-    assert inside == [None]
-    (marks,) = traces(browser, "ESC Temperature, can1 0x211", "markers")
-    expected = [row for row in truth.motor if row[1:3] == ("can1", 0x211) and row[4] in (flights.NAN8, flights.ABOVE8)]
-    assert len(marks["x"]) == len(expected)
-
-
-def test_thinning_keeps_extremes(browser, page):
-    truth = page[1]
-    raws = [row[3] for row in truth.motor if row[1:3] == ("can0", 0x210) and row[3] != flights.NAN16]
-    show(browser, 0, SECONDS)
-    (line,) = traces(browser, "RPM Measured, can0 0x210")
-    drawn = [value for value in line["y"] if value is not None]
-    assert max(drawn) == pytest.approx(flights.value(max(raws), -60000, 60000, 65530), abs=0.01)
-    assert min(drawn) == pytest.approx(flights.value(min(raws), -60000, 60000, 65530), abs=0.01)
-
-
-def test_light_and_dark(browser):
-    script = "return getComputedStyle(document.body).backgroundColor"
-    before = browser.execute_script(script)
-    browser.find_element(By.ID, "theme").click()
-    time.sleep(1)
-    assert browser.execute_script(script) != before
-    draw(browser)
-    papers = browser.execute_script(
-        "return [...document.querySelectorAll('.plot')].map(one => one.layout.paper_bgcolor)"
-    )
-    assert set(papers) == {browser.execute_script(script)}
-
-
 def bars(browser, name):
     """Begin, end, meaning and shown text of the bars of this name: "Motor overcurrent, can1 0x210"."""
     draw(browser)
@@ -353,17 +315,6 @@ def test_nothing_lies_over_the_first_picture(example_browser):
     assert pixel(example_browser, round(x), round(y)) == tuple(example_browser.execute_script(fill))
 
 
-def test_states_are_bars_with_texts_where_there_is_room(example_browser):
-    enabled = bars(example_browser, "Enabled, can1 0x000")
-    assert [(text, shown) for _, _, text, shown in enabled] == [
-        ("Enabled", "Enabled"), ("Disabled", "Disabled"), ("Enabled", "Enabled"),
-    ]  # fmt: skip
-    key = bars(example_browser, "Key, can1 0x000")
-    assert [text for _, _, text, _ in key] == ["Full Operation", "0x0, not defined", "Full Operation"]
-    wide = example_browser.execute_script("return innerWidth > 1000")
-    assert [bool(shown) for *_, shown in key] == ([True] * 3 if wide else [True, False, False])
-
-
 def test_times_are_read_by_people_and_count_from_the_captures_begin(example_browser):
     """As tshark's frame.time_relative."""
     (fault,) = [row for row in incidents_of(example_browser) if row["fault"]]
@@ -381,14 +332,9 @@ def test_times_are_read_by_people_and_count_from_the_captures_begin(example_brow
 
 def test_the_header_says_what_it_is_of(example_browser):
     said = example_browser.execute_script("return document.querySelector('header').innerText")
-    for text in ("flight.pcapng", "2023-11-14", "board revision 3", "plugin 3.", "catalogue command, motor, health"):
+    for text in ("flight.pcapng", "2023-11-14", "plugin 3.", "catalogue command, motor, health"):
         assert text in said
     assert re.search(r"health \([0-9a-f]{8}\)", said)  # the catalogue's version
-
-
-def test_the_first_screen_says_what_went_wrong(example_browser):
-    script = "return ['verdict', 'incidents'].map(id => document.getElementById(id).getBoundingClientRect().bottom)"
-    assert max(example_browser.execute_script(script)) < 844
 
 
 def test_no_margin_is_empty_and_nothing_sticks_out(example_browser):
@@ -430,26 +376,9 @@ def test_a_colour_is_a_controller_and_each_value_is_named_once(example_browser):
     )
 
 
-def test_what_did_not_change_has_no_panel(example_browser):
-    titles = "return [...document.querySelectorAll('figcaption')].map(head => head.textContent)"
-    assert not [
-        text for text in example_browser.execute_script(titles) if "Board Revision" in text or "CPU Usage" in text
-    ]
-    values = [row for row in rows_of(example_browser, "values") if row["field"] == "Board Revision"]
-    assert {row[name] for row in values for name in ("min", "mean", "max")} == {"3"}
-    (usage, _) = [row for row in rows_of(example_browser, "values") if row["field"] == "Taurus Thread CPU Usage"]
-    assert (usage["mean"], usage["unit"]) == ("12", "%")
-    level = example_browser.execute_script("return document.getElementById('level').textContent")
-    assert level.startswith("Never changed: ")
-    assert "Flag MPOS: Update motor position values: set;" in level
-
-
-def test_every_table_has_units(example_browser):
-    heads = "return [...document.querySelectorAll(arguments[0])].map(cell => cell.textContent)"
-    assert "unit" in example_browser.execute_script(heads, "#values th")
-    assert "A" in example_browser.execute_script(heads, "#values tbody td:nth-child(3)")
-    summary = set(example_browser.execute_script(heads, "#summary th"))
-    assert {"rate, Hz", "gap min, s", "gap mean, s", "gap max, s"} <= summary
+def test_the_table_of_sources_has_units(example_browser):
+    heads = "return [...document.querySelectorAll('#summary th')].map(cell => cell.textContent)"
+    assert {"rate, Hz", "gap min, s", "gap mean, s", "gap max, s"} <= set(example_browser.execute_script(heads))
 
 
 EVENT = {"time": 1700000000.300000001, "frame": 8, "bus": "can0", "id": 528, "source": None, "message": "motor"}
@@ -549,46 +478,6 @@ def test_a_link_leads_to_a_time_and_a_zoom_makes_one(example):
         browser.quit()
 
 
-def test_a_fault_of_300_ms_in_20_minutes_is_seen(make_capture, yapp_tables, tmp_path):
-    rows = [motor_row(0), motor_row(1), motor_row(12000)]
-    event = EVENT | {"kind": "fault", "field": "fault_flags", "flag": "motor_overcurrent", "active": None}
-    rows[1:1] = [motor_row(n, fault_flags="65536", fault_motor_overcurrent="1") for n in (6000, 6001, 6002)]
-    rows[4:4] = [motor_row(6003)]
-    rows.pop(5)
-    at = 1700000600.000000001
-    events = [event | {"event": "raised", "time": at}, event | {"event": "cleared", "time": at + 0.3, "active": 0.3}]
-    make_capture("flight.pcapng", motor=rows, events=events)
-    assert yapp_tables("report", "flight.pcapng", "--out", "page.html").returncode == 0
-    for width in (390, 1200):
-        browser = open_browser(tmp_path / "page.html", width=width)
-        try:
-            draw(browser)
-            script = "return [...document.querySelectorAll('.plot .barlayer path')].map(one => one.getBoundingClientRect().width)"
-            assert min(browser.execute_script(script)) >= 3
-            said = browser.execute_script("return document.getElementById('verdict').textContent")
-            assert said.startswith("NOT GOOD: 1 fault; ")
-            assert causes_of(browser) == ["can0 0x210: Motor overcurrent at 10:00.000, 0.300 s."]
-        finally:
-            browser.quit()
-
-
-def test_several_flights_on_one_page_and_an_index(make_capture, yapp_tables, tmp_path):
-    for name, first in (("a", 0), ("b", 50)):
-        make_capture(f"{name}.pcapng", motor=[motor_row(n + first, rpm_measured=str(n)) for n in range(30)])
-    assert yapp_tables("report", "a.pcapng", "b.pcapng", "--overlay", "--out", "both.html").returncode == 0
-    data = data_of(tmp_path / "both.html")
-    assert data["names"] == ["a.pcapng: can0 0x210", "b.pcapng: can0 0x210"]
-    assert data["length"] == pytest.approx(2.9)
-    assert data["sources"][0]["colour"] == data["sources"][1]["colour"]
-    titles = [(one["title"], len(one["lines"])) for one in data["figures"]]
-    assert titles == [("Measured speed", 2), ("Interval between messages", 2)]
-    assert yapp_tables("report", "?.pcapng", "--out", "pages").returncode == 0
-    index = (tmp_path / "pages/index.html").read_text()
-    links = re.findall(r"href='(.*?)'", index)
-    assert len(links) == 2
-    assert all((tmp_path / "pages" / link).is_file() for link in links)
-
-
 # ---- eight controllers on two buses: M3 falls silent, M6 has an overcurrent of 0.3 s, M8 gets hot
 
 RULES = "motor.esc_temperature=..80\nmotor.motor_temperature=..200\nmotor.dc_voltage=40..55\nsource=M1\nmotor.dc_current=..60\n"
@@ -659,24 +548,13 @@ def test_the_matrix_shades_who_is_far_from_the_others(eight_browser):
     assert matrix["M6 (can1)"]["Faults"][0] == matrix["M3 (can0)"]["Silences"][0] == "▲ 1"
 
 
-def test_the_matrix_against_the_truth(eight_browser, eight):
-    """Highest temperature, and charge by hand: the mean current over the time."""
-    matrix = cells(eight_browser, "matrix")
-    own = [row for row in eight[1].motor if row[1:3] == ("can1", 0x213) and row[4] < 250]
-    highest = max(flights.value(row[4], -40, 210, 250) for row in own)
-    assert matrix["M8 (can1)"]["ESC Temperature max, °C"][0] == f"▲ {highest:.0f}"
-    mean, charge = (float(matrix["M1 (can0)"][head][0]) for head in ("DC Current mean, A", "Charge, Ah"))
-    assert charge == pytest.approx(mean * 300 / 3600, rel=0.02)
-    assert float(matrix["M1 (can0)"]["Energy, Wh"][0]) == pytest.approx(charge * 48.2, rel=0.02)
-
-
 def test_a_click_on_the_matrix_shows_one_controller(eight_browser):
     try:
         eight_browser.execute_script(
             "document.querySelectorAll('#matrix tbody tr button, #matrix tr button')[5].click()"
         )
         shown = {one["name"].rpartition(", ")[2] for one in traces(eight_browser, ", ") if one["visible"]}
-        assert shown == {"M6", "can1 0x201"}
+        assert shown == {"M6"}
         checked = "return [...document.querySelectorAll('#sources input:checked')].map(one => one.parentNode.textContent.trim())"
         assert eight_browser.execute_script(checked) == ["M6 (can1)"]
         eight_browser.execute_script("document.querySelector('#matrix td[data-figure=\"motor.dc_current\"]').click()")
@@ -713,38 +591,19 @@ def test_the_odd_one_is_marked_in_the_clouds(eight_browser):
         """return [...document.querySelectorAll("#clouds figure")].map(one => [one.querySelector("figcaption").textContent,
           one.querySelector(".plot").data.map(({name, x, y, marker}) => [name, Array.from(x), Array.from(y), marker.symbol])])"""
     )
-    assert [text.partition("Motor Data")[0] for text, _ in clouds] == [
-        "DC Current over RPM Measured, A",
-        "DC Voltage over Current of all, V",
-    ]
-    for text, found in clouds:
-        assert "odd:" not in text  # of 300 s it was so for 0.6 s
-        assert len(found) == 8
-        if "Voltage" in text:
-            continue
-        odd = [
-            (name, up)
-            for name, _, y, symbols in found
-            for up, symbol in zip(y, symbols, strict=True)
-            if symbol == "diamond"
-        ]
-        assert 4 <= len(odd) <= 8
-        assert {name for name, _ in odd} == {"M6 (can1)"}
-    assert all(
-        value > 20
-        for _, _, y, symbols in clouds[0][1]
-        for value, symbol in zip(y, symbols, strict=True)
+    ((text, found),) = clouds
+    assert text.partition("Motor Data")[0] == "DC Current over RPM Measured, A"
+    assert "odd:" not in text  # of 300 s it was so for 0.6 s
+    assert len(found) == 8
+    odd = [
+        (name, up)
+        for name, _, y, symbols in found
+        for up, symbol in zip(y, symbols, strict=True)
         if symbol == "diamond"
-    )
-
-
-def test_following_error_and_interval_are_pictures(eight_browser):
-    (error,) = traces(eight_browser, "RPM Error, M1")
-    values = [value for value in error["y"] if value is not None]
-    assert 5 < max(values) < 60
-    (interval,) = traces(eight_browser, "Interval between messages, M1")
-    assert 0.09 < min(interval["y"]) < 0.11
-    assert 0.19 < max(interval["y"]) < 0.25  # where a frame was lost
+    ]
+    assert 4 <= len(odd) <= 8
+    assert {name for name, _ in odd} == {"M6 (can1)"}
+    assert all(up > 20 for _, up in odd)
 
 
 def test_no_picture_comes_twice_and_the_first_ones_matter_most(eight_browser):
@@ -787,13 +646,6 @@ def test_limits_are_bands(eight_browser):
     assert "limit: at least 40 V, at most 55 V" in eight_browser.execute_script(said)
 
 
-def test_minutes_left_stand_in_the_matrix(eight_browser):
-    """M8 gets hotter by 0.25 °C a second until it is 60 °C hotter; the limit of its motor is 200 °C."""
-    left = cells(eight_browser, "matrix")["M8 (can1)"].get("Motor Temperature minutes left, min", ("", ""))[0]
-    heat = cells(eight_browser, "matrix")["M8 (can1)"]["Motor Temperature max, °C"][0].split()[-1]
-    assert float(left.split()[-1]) == pytest.approx((200 - float(heat)) / 0.25 / 60, rel=0.15)
-
-
 def test_each_picture_has_a_table(eight_browser):
     draw(eight_browser)
     found = eight_browser.execute_async_script(
@@ -801,7 +653,7 @@ def test_each_picture_has_a_table(eight_browser):
         setTimeout(() => { done([...document.querySelectorAll("figure details")].map(one => [one.querySelectorAll("tr").length, one.querySelectorAll("th").length]));
           document.querySelectorAll("figure details").forEach(one => { one.open = false; }); }, 1500)"""
     )
-    assert len(found) > 12
+    assert len(found) > 8
     assert all(rows > 1 and heads > 2 for rows, heads in found), found
 
 
@@ -815,7 +667,7 @@ def test_on_paper_nothing_is_cut_and_no_picture_is_split(eight):
         )
         browser.execute_script("dispatchEvent(new Event('beforeprint'))")
         assert browser.execute_script(
-            "return document.querySelectorAll('.plot svg').length > 12 && !document.querySelector('.plot[data-stale]')"
+            "return document.querySelectorAll('.plot svg').length > 8 && !document.querySelector('.plot[data-stale]')"
         )
         script = """return [...document.querySelectorAll("table, svg, figure, p, li, figcaption > *")].filter(one => one.offsetParent !== null || one.ownerSVGElement === null)
           .map(one => one.getBoundingClientRect().right).reduce((a, b) => Math.max(a, b))"""
@@ -825,7 +677,7 @@ def test_on_paper_nothing_is_cut_and_no_picture_is_split(eight):
         whole = "return [...document.querySelectorAll('figure, tr')].every(one => getComputedStyle(one).breakInside === 'avoid')"
         assert browser.execute_script(whole)
         pdf = browser.execute_cdp_cmd("Page.printToPDF", {"landscape": True, "preferCSSPageSize": True})
-        assert base64.b64decode(pdf["data"]).count(b"/Type /Page\n") == 4
+        assert base64.b64decode(pdf["data"]).count(b"/Type /Page\n") <= 4
     finally:
         browser.quit()
 
@@ -845,7 +697,7 @@ def oklab(colour):
     return place, 0.2126 * r + 0.7152 * g + 0.0722 * b
 
 
-@pytest.mark.parametrize(("colours", "paper"), [(palette.LIGHT, "#ffffff"), (palette.DARK, "#14171a")])
+@pytest.mark.parametrize(("colours", "paper"), [(pages.LIGHT, "#ffffff"), (pages.DARK, "#14171a")])
 def test_sixteen_controllers_have_colours_that_stay_apart(colours, paper):
     places = [oklab(colour)[0] for colour in colours]
     assert len(places) == 16

@@ -3,8 +3,6 @@
 
 import errno
 import os
-import subprocess
-import sys
 
 import pytest
 import yapp_tables as yt
@@ -13,40 +11,15 @@ from running import FAKE, motor_row
 from yapp_tables import scratch
 
 
-def dead_pid():
-    """The number of a process that has ended."""
-    dead = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
-    return int(dead.stdout)
-
-
-def test_a_killed_run_is_cleaned_by_the_next_and_one_that_lives_is_not(tmp_path):
-    names = {dead_pid(): False, os.getpid(): True}
-    for pid in names:
-        path = tmp_path / f"work-abc-{scratch.HOST}-{pid}-xyz"
+def test_what_a_killed_run_left_is_removed_a_day_later(tmp_path):
+    old, new = (tmp_path / f"{scratch.PREFIX}{name}" for name in ("old", "new"))
+    for path in (old, new, tmp_path / "mine"):
         path.mkdir()
-        os.utime(path, (0, 0))  # a run may take days
-    old = tmp_path / f"work-abc-another_{scratch.HOST}-1-xyz"
-    old.mkdir()
-    (tmp_path / "work-of-mine").mkdir()
-    scratch.clean(tmp_path)
-    for pid, lives in names.items():
-        assert (tmp_path / f"work-abc-{scratch.HOST}-{pid}-xyz").exists() == lives
-    assert old.exists()
     os.utime(old, (0, 0))
-    scratch.clean(tmp_path)
-    assert not old.exists()
-    assert (tmp_path / "work-of-mine").exists()
-    scratch.clean(tmp_path, "abc")
-    assert [path.name for path in tmp_path.iterdir()] == ["work-of-mine"]
-
-
-def test_what_a_killed_reading_left_is_cleaned_by_the_next(make_capture, tmp_path, monkeypatch):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    capture = make_capture("flight.pcapng", motor=[motor_row(0)])
-    left = tmp_path / f"work--{scratch.HOST}-{dead_pid()}-xyz"
-    left.mkdir()
-    yt.read(capture, tshark=FAKE)
-    assert not left.exists()
+    os.utime(tmp_path / "mine", (0, 0))
+    with scratch.scratch(tmp_path) as folder:
+        assert folder.is_dir()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", new.name]
 
 
 def test_a_full_disk_is_a_path_and_what_to_do(make_capture, monkeypatch):
@@ -70,7 +43,7 @@ def test_a_full_disk_of_the_data_set_advises_no_other_folder_for_temporary_files
     says = "yapp: csv: csv/fields.json: No space left on device"
     capture = make_capture("flight.pcapng", motor=[motor_row(0)], says=says)
     with pytest.raises(yt.SetupError, match=r"the disk is full: .+data.yapp-tables.+; free some space there$"):
-        yt.convert_one(capture, yt.Config(str(tmp_path / "data"), tshark=yt.Tshark(program=str(FAKE))), made=None)
+        yt.convert_one(capture, yt.Config(str(tmp_path / "data"), tshark=yt.Tshark(FAKE)), made=None)
 
 
 @pytest.mark.parametrize("kind", [DeltaError, OSError])
@@ -83,7 +56,7 @@ def test_a_full_disk_of_a_delta_table_is_said_at_once(make_capture, tmp_path, mo
         raise kind(f"Generic LocalFileSystem error\n \x1b[31m↳\x1b[0m {os.strerror(errno.ENOSPC)} (os error 28)")
 
     monkeypatch.setattr("yapp_tables.delta.write_deltalake", write)
-    config = yt.Config(str(tmp_path / "data"), "delta", yt.Tshark(program=str(FAKE)))
+    config = yt.Config(str(tmp_path / "data"), "delta", yt.Tshark(FAKE))
     with pytest.raises(yt.SetupError, match=r"the disk is full: .+data.yapp-tables; free some space there$"):
         yt.convert_one(make_capture("flight.pcapng", motor=[motor_row(0)]), config)
     assert len(tries) == 1
@@ -94,6 +67,6 @@ def test_an_error_of_deltalake_is_one_line(make_capture, tmp_path, monkeypatch):
         raise OSError("Generic S3 error\n          \x1b[31m↳\x1b[0m client error (Connect)\n")
 
     monkeypatch.setattr("yapp_tables.delta.write_deltalake", write)
-    config = yt.Config(str(tmp_path / "data"), "delta", yt.Tshark(program=str(FAKE)))
+    config = yt.Config(str(tmp_path / "data"), "delta", yt.Tshark(FAKE))
     result = yt.convert_one(make_capture("flight.pcapng", motor=[motor_row(0)]), config)
     assert result.failure == "Delta Lake: Generic S3 error client error (Connect)"

@@ -4,11 +4,12 @@
 import numpy as np
 import pyarrow as pa
 import pytest
-from yapp_tables.series import Source, sources, spans, thin
+from yapp_tables.series import Samples, samples, thin
 
 
 def source(times, every=0.1):
-    return Source("esc", pa.table({}), np.asarray(times, float), every)
+    times = np.asarray(times, float)
+    return Samples("esc", "esc", "m", "M", every, {}, times, np.arange(len(times)), {}, set())
 
 
 @pytest.mark.parametrize("most", [10, 100, 999, 10_000])
@@ -38,13 +39,6 @@ def test_what_comes_first_is_drawn_first():
     assert falls.tolist() == [9, 1, 1, 9]
 
 
-def test_spans_end_where_the_value_changes_or_the_source_falls_silent():
-    times = [0, 0.1, 0.2, 0.3, 5.0, 5.1]
-    found = spans(source(times), np.array([0, 1, 1, 0, 1, 1.0]), 100)
-    assert found == [(0, 0.1, 0), (0.1, 0.3, 1), (0.3, 0.4, 0), (5.0, pytest.approx(5.2), 1)]
-    assert [span[2] for span in spans(source(times), np.array([0, 1, 1, 0, 1, 1.0]), 2)] == [1, 1]
-
-
 def test_a_source_is_its_name_or_its_bus_and_id():
     table = pa.table(
         {
@@ -52,8 +46,9 @@ def test_a_source_is_its_name_or_its_bus_and_id():
             "bus": ["can0", None, "can0"],
             "id": pa.array([0x210, 0x210, 0x211], pa.uint32()),
             "source": [None, None, "left"],
+            "frame": [1, 2, 3],
         }
     )
-    assert [(one.name, one.times.tolist()) for one in sources(table, 0.1, 1)] == [
+    assert [(one.name, one.times.tolist()) for one in samples({"motor": table}, start=1).values()] == [
         ("0x210", [0.0]), ("can0 0x210", [2e-9]), ("left", [1e-9]),
     ]  # fmt: skip

@@ -3,9 +3,8 @@
 
 from importlib.metadata import version
 
-from .api import convert, read, read_many, report
-from .config import Config
-from .convert import convert_one
+from .api import convert, read, report
+from .convert import Config, convert_one
 from .dataset import Result
 from .errors import CaptureError, MessageError, SetupError, YappError
 from .flight import Flight
@@ -14,5 +13,5 @@ from .tshark import Tshark
 __version__ = version("yapp-tables")
 __all__ = [
     "CaptureError", "Config", "Flight", "MessageError", "Result", "SetupError", "Tshark", "YappError", "convert",
-    "convert_one", "read", "read_many", "report",
+    "convert_one", "read", "report",
 ]  # fmt: skip

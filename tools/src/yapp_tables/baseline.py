@@ -3,43 +3,56 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from typing import Any
 
-from . import __version__, loads
-from .config import Config
+import numpy as np
+
+from . import __version__
 from .errors import CaptureError, count_of
+from .flight import Flight
 from .scratch import scratch
-from .tshark import Record
+from .series import DEGREES, LATE, Array, Samples, samples
+from .tshark import Record, Tshark
 
 # A range that is narrow for its value counts as this share of the value: what never changed may do so a little.
-LEAST_RANGE = Decimal("0.25")
-NOISE = Decimal("0.1")  # of the margin, beyond an extreme of 0
+LEAST_RANGE = 0.25
+NOISE = 0.1  # of the margin, beyond an extreme of 0
 # What differs from flight to flight, such as speed and battery, is the same for all controllers: their ratio keeps to
 # this share of the room.
-ROOM_OF_RATIO = Decimal("0.5")
-COMPARED = ("A", "RPM", "°C")  # units of the fields that have a ratio
-UPPER = ("gap", "spread", "noise")  # measures with an upper limit only
+ROOM_OF_RATIO = 0.5
+COMPARED = ("A", "RPM", "V", *DEGREES)  # units of the fields that have a ratio
+UPPER = ("gap", "noise")  # measures with an upper limit only
 LEAST_TRIED = 4  # flights: fewer say nothing of one that has no part
-ROOMS = (Decimal(1), Decimal("1.5"), Decimal("2.5"))  # of a limit, until each flight keeps it that has no part in it
-LEAST_LOAD = Decimal("0.1")  # of the largest current, that a mean is where a ratio tells something
+ROOMS = (1.0, 1.5, 2.5)  # of a limit, until each flight keeps it that has no part in it
+LEAST_LOAD = 0.1  # of the largest current, that a mean is where a ratio tells something
+LEAST_RESERVED = 0.05  # of values, that may be reserved in any flight
+OF_CHECK = "damaged or lost messages may hide faults"  # what check says, and the rules count
+POINTS = 7  # of a curve
+LEAST_SAMPLES = 20  # of a point, of all flights
+LEAST_FLIGHTS = 3  # that have it
+LEAST_SHARE = 0.02  # of the range of the values, that they scatter at a point
+RUNNING = 0.1  # of the highest speed
+USUAL = (0.1, 0.98)  # quantiles of a flight without its spin-up and its landing
+AFTER = 1.0  # seconds within the points, from which on a value is judged
+LONG, SHORT = 10, 4  # periods: a state lasts longer, a step of the command is over
+RARE = 0.05  # of the samples: a condition that each flight meets
+LEAST_HELD = 12  # samples of each flight
 HEAD = """\
-# Learnt by yapp-tables {version} from {flights}, with a margin of {margin} %.
+# Learnt by yapp-tables {version} from {flights}, with a margin of {margin:g} %.
 # A # takes a rule out; edit the numbers as you like. Behind each: the extreme of the good flights, and whose it is.
 # The first rules are those of check alone. Reserved values are in no range; .special is their share.
 """
-LEAST_SHARE = Decimal("0.05")  # of values, that may be reserved in any flight
-OF_CHECK = "damaged or lost messages may hide faults"  # what check says, and the rules count
-Extreme = tuple[Decimal, Decimal, str]  # the lowest and the highest of a source in a flight, the flight
+Extreme = tuple[float, float, str]  # the lowest and the highest of a source in a flight, the flight
+Write = Callable[[str, str], str]  # limits below and above to the text of a rule
 
 
 @dataclass
@@ -53,101 +66,299 @@ class Rule:
     text: str
     comment: str = ""
     lost: str = ""
-    seen: list[tuple[Decimal, str]] = field(default_factory=list)
+    seen: list[tuple[float, str]] = field(default_factory=list)
 
 
-def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[str, list[str]]:
+@dataclass
+class Finding:
+    """What flights show of one source. what: a name that other sources have, too, "motor.dc_voltage.numbers"."""
+
+    source: str
+    what: str
+    found: list[Extreme]
+    write: Write | None = None
+
+
+@dataclass
+class Good:
+    """A good flight: what tshark says of it, and its messages."""
+
+    name: str
+    records: dict[str, list[Record]]
+    lacks: tuple[str, ...]
+    fields: Record
+    samples: list[tuple[str, Samples]]  # the user's name for a source, or ""
+
+
+def learn(captures: Sequence[Path], tshark: Tshark, margin: float) -> tuple[str, list[str]]:
     """Return the text of a file of rules that all captures keep, and sentences on what they leave out.
 
     margin: a share of the range that the captures cover. Raises YappError.
     """
     folder = os.path.commonpath([capture.parent for capture in captures])
-    names = [os.path.relpath(capture, folder) for capture in captures]
-    with ThreadPoolExecutor(os.cpu_count()) as pool, scratch() as aside:
-        folders = [Path(aside, str(number)) for number in range(len(captures))]
-        for path in folders:
-            path.mkdir()
-            (path / "rules").symlink_to(Path(aside, "rules"))
-
-        def ask(*statistics: str) -> list[tuple[list[Record], list[str]]]:
-            def one(path: Path, own: Path) -> tuple[list[Record], list[str]]:
-                return config.of(path)[0].ask(path, str(own), statistics)
-
-            return list(pool.map(one, captures, folders))
-
-        told = dict(zip(names, ask("csv,csv", "summary,json", "compare,json", "check,json"), strict=True))
-        flights = {name: records for name, (records, _) in told.items()}
-        extremes = _extremes(flights)
-        if not extremes:
-            raise CaptureError(f"no message was decoded in {', '.join(names)}")
-        fields = config.of(captures[0])[0].fields()[0]
-        samples = loads.by_source(
-            [row for name, own in zip(names, folders, strict=True) for row in loads.read(own / "csv", name, fields)]
-        )
-        extremes |= loads.noises(fields, samples)
-        writers = {}
-        for finding in loads.findings(fields, samples):
-            if len({end for low, high, _ in finding.found for end in (low, high)}) < 2:
-                continue  # none, or what never differs: its range says it
-            extremes[finding.source, finding.what] = finding.found
-            writers[finding.source, finding.what] = finding.write
-        rules = _counted(flights, margin)
-        apart = _least_apart(extremes)
-        for (source, what), found in extremes.items():
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        flights = list(pool.map(lambda capture: _read(capture, os.path.relpath(capture, folder), tshark), captures))
+        findings = [*_summed(flights), *_shown(flights)]
+        found = {(one.source, one.what): one.found for one in findings}
+        apart, rules = _least_apart(found), _counted(flights, margin)
+        for one in findings:
             # A mean has the margin of the values: those of a few flights may lie close together.
-            field, _, measure = what.rpartition(".")
-            covered = extremes[source, f"{field}.numbers"] if measure == "mean" else found
-            rules.append(_rule(source, what, (found, covered, apart[what]), margin, writers.get((source, what))))
-        shares, constants = _reserved(extremes, fields), _constants(extremes, fields)
-        constants += [Rule(source, text, "always") for source, text in loads.constant_flags(fields, samples)]
-        share = f"{(margin * 100).normalize():f}"
-        head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=share)
+            name, _, measure = one.what.rpartition(".")
+            covered = found[one.source, f"{name}.numbers"] if measure == "mean" else one.found
+            rules.append(_rule(one, covered, apart[one.what], margin))
+        shares, constants = _reserved(findings, flights[0].fields), _constants(flights)
+        head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=margin * 100)
         # The gate itself says which rules these flights keep, and what part of the values is reserved.
-        Path(aside, "rules").write_text(_text(head, [*rules, *shares, *constants]), encoding="utf-8")
-        verdicts = {name: rows for name, (rows, _) in zip(names, ask("check,rules=rules,json"), strict=True)}
-        _mark_lost([*rules, *shares, *constants], verdicts)
-        rules += [rule for rule in shares if _learn_share(rule, margin)]
-        rules += [rule for rule in constants if rule.seen and not rule.lost]
-    said = [f"{name}: {text}" for name, (_, texts) in told.items() for text in texts if not text.startswith(OF_CHECK)]
+        text = _text(head, [*rules, *shares, *constants])
+        verdicts = pool.map(lambda capture: _judge(capture, tshark, text), captures)
+        _mark_lost([*rules, *shares, *constants], dict(zip((one.name for one in flights), verdicts, strict=True)))
+    rules += [rule for rule in shares if _learn_share(rule, margin)]
+    rules += [rule for rule in constants if rule.seen and not rule.lost]
+    said = [f"{one.name}: {text}" for one in flights for text in one.lacks if not text.startswith(OF_CHECK)]
     return _text(head, rules), said
 
 
-def _extremes(flights: dict[str, list[Record]]) -> dict[tuple[str, str], list[Extreme]]:
-    """Return what was seen, by source and the name of a rule: "motor.rate", "motor.dc_voltage.numbers"."""
-    rows = [(name, row) for name, records in flights.items() for row in records if row["message"] and "rule" not in row]
-    # A rule without a source is about all of its message: if one has no name, then no one is judged apart.
-    nameless = {row["message"] for _, row in rows if "rate" in row and not row["source"]}
-    found = defaultdict(list)
+def _read(capture: Path, name: str, tshark: Tshark) -> Good:
+    with scratch() as folder:
+        export = tshark.export(capture, folder / "export", ["check,json"])
+        if export.partial:
+            raise CaptureError(f"{capture}: {export.partial}")
+        flight = Flight(capture, export)
+        start = flight.start()
+        names = {(row["bus"], row["id"]): row["source"] or "" for row in export.records["summary"]}
+        own = [(names.get(next(iter(one.ids)), ""), one) for one in samples(flight, start=start).values()]
+        return Good(name, export.records, export.lacks, export.fields, own)
+
+
+def _judge(capture: Path, tshark: Tshark, text: str) -> list[Record]:
+    with scratch() as folder:
+        (folder / "rules").write_text(text, encoding="utf-8")
+        return tshark.ask(capture, str(folder), ["check,rules=rules,json"])[0]
+
+
+def _summed(flights: Sequence[Good]) -> Iterator[Finding]:
+    """Yield rates, gaps, ranges and means of the summaries, and the ratios of means."""
+    units = {(name, column["name"]): column["unit"] for name, entry in flights[0].fields["messages"].items()
+             for column in entry["columns"]}  # fmt: skip
+    rows = [(one.name, row) for one in flights for row in one.records["summary"] if row["message"]]
+    nameless = {row["message"] for _, row in rows if not row["source"]}
+    found: dict[tuple[str, str], list[Extreme]] = defaultdict(list)
+    means: dict[tuple[str, str, str], dict[str, Record]] = defaultdict(dict)
     for name, row in rows:
-        message, seen = row["message"], dict[str, tuple[Any, Any]]()
-        source = "" if "spread" in row or message in nameless else row["source"]
-        if row.get("unit") in COMPARED and message not in nameless:
-            for other, ratio in _ratios(row["sources"]).items():
-                found[other, f"{message}.{row['field']}.ratio"].append((ratio, ratio, name))
-        if row.get("spread"):  # of values that never differed, their ranges say it
-            seen = {f"{row['field']}.spread": (row["spread"], row["spread"])}
-        elif "rate" in row:
-            for measure, value in (("rate", row["rate"]), ("gap", row["gap_max"])):
-                seen[measure] = value, value
-            for field, value in row["values"].items():
-                seen[f"{field}.numbers"] = value["min"], value["max"]
-                seen[f"{field}.mean"] = value["mean"], value["mean"]
+        message, seen = row["message"], {"rate": (row["rate"],) * 2, "gap": (row["gap_max"],) * 2}
+        # A rule without a source is about all of its message: if one has no name, then no one is judged apart.
+        source = "" if message in nameless else row["source"]
+        for each, value in row["values"].items():
+            seen |= {f"{each}.numbers": (value["min"], value["max"]), f"{each}.mean": (value["mean"],) * 2}
+            if source and units.get((message, each)) in COMPARED:
+                means[name, message, each][source] = value
         for what, (low, high) in seen.items():
             if low is not None:
-                found[source, f"{message}.{what}"].append((Decimal(low), Decimal(high), name))
-    return found
+                found[source, f"{message}.{what}"].append((float(low), float(high), name))
+    for (name, message, each), values in means.items():
+        for source, ratio in _ratios(values).items():
+            found[source, f"{message}.{each}.ratio"].append((ratio, ratio, name))
+    for (source, what), ends in found.items():
+        yield Finding(source, what, ends)
 
 
-def _ratios(sources: Sequence[Record]) -> dict[str, Decimal]:
+def _ratios(values: dict[str, Record]) -> dict[str, float]:
     """Return by source its mean, divided by the median of the others' means; nothing where a mean is about 0."""
-    means = {each["source"]: Decimal(each["mean"] or 0) for each in sources}
-    largest = max(Decimal(each["max"] or 0) for each in sources)
+    means = {source: float(each["mean"] or 0) for source, each in values.items()}
+    largest = max(float(each["max"] or 0) for each in values.values())
     if len(means) < 2 or largest <= 0 or min(means.values()) < largest * LEAST_LOAD:
         return {}
     return {one: mean / median(means[other] for other in means if other != one) for one, mean in means.items()}
 
 
-def _least_apart(extremes: dict[tuple[str, str], list[Extreme]]) -> dict[str, tuple[Decimal, Decimal]]:
+# ---- what values show: noise, limits over another field, for a time, and means under a condition
+
+
+def _by_source(flights: Sequence[Good]) -> dict[tuple[str, str], list[tuple[str, Samples]]]:
+    """Return the samples of flights by source and message; without a source where one of a message has no name."""
+    every = [(source, flight.name, one) for flight in flights for source, one in flight.samples]
+    nameless = {one.message for source, _, one in every if not source}
+    found = defaultdict(list)
+    for source, name, one in every:
+        found["" if one.message in nameless else source, one.message].append((name, one))
+    return found
+
+
+def _shown(flights: Sequence[Good]) -> Iterator[Finding]:
+    """Yield what the values of good flights show, where they differ at all: ranges say the rest."""
+    for (source, message), found in _by_source(flights).items():
+        entry, one = flights[0].fields["messages"][message], found[0][1]
+        for finding in [*_noises(message, found), *_under_load(message, found, entry["differences"], one.every)]:
+            if len({end for low, high, _ in finding.found for end in (low, high)}) > 1:
+                finding.source = source
+                yield finding
+
+
+Found = Sequence[tuple[str, Samples]]  # the samples of one source in each flight, with the flight's name
+
+
+def _noises(message: str, found: Found) -> Iterator[Finding]:
+    """Yield how far values lie from the mean of their neighbours, as the rule `noise` has it."""
+    for name in set(found[0][1].names("value")) - set(found[0][1].names("value", *DEGREES)):
+        ends = []
+        for flight, one in found:
+            good = one.columns[name][np.isfinite(one.columns[name])]
+            if len(good) > 2:
+                noise = float(np.mean(np.abs(good[1:-1] - (good[:-2] + good[2:]) / 2)))
+                ends.append((noise, noise, flight))
+        yield Finding("", f"{message}.{name}.noise", ends)
+
+
+def _under_load(message: str, found: Found, differences: Sequence[Record], every: float) -> Iterator[Finding]:
+    """Yield limits over another field and for a time, by what fields are: of units and names alone."""
+    one = found[0][1]
+    names = {unit: [name for name in one.names("value", unit) if not name.endswith("_commanded")]
+             for unit in ("RPM", "A", "W")}  # fmt: skip
+    torques = [name for name in names["A"] if "torque" in name]
+    currents = [name for name in names["A"] if name not in torques]
+    errors = [row["name"] for row in differences]
+    pairs = [(value, other, LONG) for value in currents + names["W"] + torques for other in names["RPM"]]
+    pairs += [(value, other, LONG) for value in one.names("value", *DEGREES) for other in currents]
+    pairs += [(value, other, 0) for value in currents for other in torques]
+    pairs += [(row["name"], row["less"], SHORT) for row in differences]
+    for value, other, length in pairs:
+        yield from _over(message, _having(found, value, other), (value, other), (length, every))
+    for value in errors:
+        for length in (SHORT, LONG):
+            own, hold = _having(found, value), f" for={length * every:.3g}"
+            ends = _ends(own, lambda one, value=value: one.columns[value], (length, every))  # type: ignore[misc]
+            yield Finding("", f"{message}.{value}{hold}", ends, _writer(f"{message}.{value}", hold))
+    for other in errors + torques:
+        for value in currents:
+            yield from _conditional(message, _having(found, value, other), value, other)
+
+
+def _having(found: Found, *names: str) -> Found:
+    """Return the samples that have all these fields; none where they are too few."""
+    good = [(flight, one) for flight, one in found
+            if all(np.isfinite(one.columns.get(name, np.nan)).any() for name in names)]  # fmt: skip
+    return good if len(good) >= LEAST_FLIGHTS else []
+
+
+def _writer(name: str, suffix: str) -> Write:
+    return lambda low, high: f"{name}={low}..{high}{suffix}"
+
+
+def held(one: Samples, values: Array, length: int, every: float, breaks: Array | None = None) -> float | None:
+    """Return the highest value that lasted for so many periods; None for no values.
+
+    breaks: true where the condition of a rule does not hold.
+    """
+    good = np.isfinite(values)
+    times, kept = one.times[good], values[good]
+    part = _parts(one, every, breaks)[good]
+    ends = np.searchsorted(times, times + length * every - 1e-6)
+    lows = [kept[at : end + 1].min() for at, end in enumerate(ends) if end < len(kept) and part[at] == part[end]]
+    return float(max(lows)) if lows else None
+
+
+def _parts(one: Samples, every: float, breaks: Array | None) -> Array:
+    """Return of each sample how many gaps, and samples without the condition, came up to it."""
+    late = np.diff(one.times, prepend=one.times[:1]) > LATE * every
+    return np.asarray(np.cumsum(late if breaks is None else late | breaks))
+
+
+def _ends(
+    found: Found,
+    values_of: Callable[[Samples], Array],
+    hold: tuple[int, float],
+    breaks_of: Callable[[Samples], Array] | None = None,
+) -> list[Extreme]:
+    """Return what lasted in each flight, on either side: the gate counts a row of values outside, wherever they lie."""
+    ends = []
+    for flight, one in found:
+        top = held(one, np.abs(values_of(one)), *hold, breaks_of(one) if breaks_of else None)
+        if top is not None:
+            ends.append((-top, top, flight))
+    return ends
+
+
+def _over(message: str, found: Found, names: tuple[str, str], hold: tuple[int, float]) -> Iterator[Finding]:
+    """Yield limits over another field.
+
+    At each point: a centre, the median of the flights' medians; how far values scatter about it; and so many of these
+    as flights, as wholes, lay away for as long as the rule asks for.
+    """
+    value, other = names
+    pairs = [_running(one.columns[other], one.columns[value]) for _, one in found]
+    rows = _curve(pairs) if sum(len(x) for x, _ in pairs) else []
+    if len(rows) < 2:
+        return
+    points, centres, scatter = (np.array(each) for each in zip(*rows, strict=True))
+    low_end, high_end = float(f"{points[0]:.4g}"), float(f"{points[-1]:.4g}")
+    suffix = f" when={other}={low_end:.4g}..{high_end:.4g} after={AFTER:g} for={hold[0] * hold[1]:.3g}" * bool(hold[0])
+
+    def breaks(one: Samples) -> Array:
+        return np.asarray((one.columns[other] < low_end) | (one.columns[other] > high_end))
+
+    def away(one: Samples) -> Array:
+        x, y, judged = one.columns[other], one.columns[value], ~breaks(one)
+        if hold[0]:  # once the condition has held for so long
+            part = _parts(one, hold[1], ~judged)
+            starts = dict(reversed(list(zip(part[judged], one.times[judged], strict=True))))
+            judged &= one.times - np.array([starts.get(number, np.inf) for number in part]) >= AFTER - 1e-6
+        return np.where(judged, (y - np.interp(x, points, centres)) / np.interp(x, points, scatter), np.nan)
+
+    def write(low: str, high: str) -> str:
+        limits = (f"{x:.4g}:{centre + float(low) * size:.4g}..{centre + float(high) * size:.4g}"
+                  for x, centre, size in zip(points, centres, scatter, strict=True))  # fmt: skip
+        return f"{message}.{value}.over({other})={';'.join(limits)}{suffix}"
+
+    yield Finding("", f"{message}.{value}.over({other})", _ends(found, away, hold, breaks), write)
+
+
+def _running(x: Array, y: Array) -> tuple[Array, Array]:
+    good = np.isfinite(x) & np.isfinite(y)
+    good[good] = np.abs(x[good]) > RUNNING * np.max(np.abs(x[good]), initial=0.0)
+    return x[good], y[good]
+
+
+def _curve(pairs: Sequence[tuple[Array, Array]]) -> list[tuple[float, float, float]]:
+    """Return point, centre and scatter of values over another field: where enough flights have enough samples."""
+    every_x, every_y = (np.concatenate(each) for each in zip(*pairs, strict=True))
+    low, high = np.quantile(every_x, USUAL)
+    grid = np.linspace(low, high, POINTS)
+    width = (grid[1] - grid[0]) / 2
+    floor = LEAST_SHARE * float(np.quantile(every_y, 0.98) - np.quantile(every_y, 0.02))
+    rows = []
+    for at in grid if min(width, floor) > 0 else ():
+        own = [y[np.abs(x - at) <= width] for x, y in pairs]
+        medians, y = [float(np.median(y)) for y in own if len(y)], np.concatenate(own)
+        if len(medians) >= LEAST_FLIGHTS and len(y) >= LEAST_SAMPLES:
+            centre, near = float(np.median(medians)), every_x[np.abs(every_x - at) <= width]
+            scatter = 1.4826 * float(np.median(np.abs(y - centre)))
+            rows.append((float(np.median(near)), centre, max(scatter, floor)))
+    return rows
+
+
+def _conditional(message: str, found: Found, value: str, other: str) -> Iterator[Finding]:
+    """Yield the mean at the lowest and at the highest values of another field, if each flight has some of these."""
+    every = np.concatenate([one.columns[other] for _, one in found]) if found else np.array([])
+    for quantile, sign in ((1 - RARE, 1), (RARE, -1)) if len(every) else ():
+        edge = float(f"{np.nanquantile(every, quantile):.2g}")
+        ends = []
+        for flight, one in found:
+            y = one.columns[value][sign * one.columns[other] >= sign * edge]
+            y = y[np.isfinite(y)]
+            if len(y) >= LEAST_HELD:
+                ends.append((float(y.mean()), float(y.mean()), flight))
+        if sign * edge > 0 and len(ends) == len(found):
+            name, when = (
+                f"{message}.{value}.mean",
+                f" when={other}={edge:g}.." if sign > 0 else f" when={other}=..{edge:g}",
+            )
+            yield Finding("", f"{name} {other} {sign}", ends, _writer(name, when))
+
+
+# ---- limits
+
+
+def _least_apart(extremes: dict[tuple[str, str], list[Extreme]]) -> dict[str, tuple[float, float]]:
     """Return by name of a rule how far flights are apart at least, below and above.
 
     The flights of one controller may be alike by chance: they are apart as those of most controllers, and by a step of
@@ -158,83 +369,56 @@ def _least_apart(extremes: dict[tuple[str, str], list[Extreme]]) -> dict[str, tu
         sources[what].append(found)
     least = {}
     for what, peers in sources.items():
-        field, _, measure = what.rpartition(".")
-        numbers = sources.get(f"{field}.numbers", []) if measure in ("numbers", "spread") else []
-        lows = sorted({low for found in numbers for low, _, _ in found})
-        highs = sorted({high for found in numbers for _, high, _ in found})
-        steps = [after - before for values in (lows, highs) for before, after in pairwise(values)]
-        step = min(steps, default=Decimal(0))
+        numbers = [end for found in peers for end in found] if what.endswith(".numbers") else []
+        sides = sorted({low for low, _, _ in numbers}), sorted({high for _, high, _ in numbers})
+        step = min((after - before for side in sides for before, after in pairwise(side)), default=0.0)
         below = median(_apart([low for low, _, _ in found], -1) for found in peers)
         above = median(_apart([high for _, high, _ in found], 1) for found in peers)
         least[what] = max(step, below), max(step, above)
     return least
 
 
-def _rule(
-    source: str,
-    what: str,
-    seen: tuple[list[Extreme], list[Extreme], tuple[Decimal, Decimal]],
-    margin: Decimal,
-    write: Callable[[str, str], str] | None = None,
-) -> Rule:
+def _rule(one: Finding, covered: list[Extreme], apart: tuple[float, float], margin: float) -> Rule:
     """Return the rule of what was seen, wide enough for each flight to keep it that had no part in it.
 
-    seen: the extremes, what the margin is a share of, and how far flights are apart at least, below and above;
-    write: limits to a text, None for the rule that `what` names.
+    covered: what the margin is a share of; apart: how far flights are apart at least, below and above.
     """
-    found, covered, apart = seen
-    measure = what.rpartition(".")[2]
-    wanted = found if len(found) >= LEAST_TRIED else []
+    measure = one.what.rpartition(".")[2]
+    wanted = one.found if len({name for _, _, name in one.found}) >= LEAST_TRIED else []
+
+    def ends(left_out: str, room: float) -> tuple[str, str, str]:
+        rest, own = ([row for row in rows if row[2] != left_out] for rows in (one.found, covered))
+        low = 0.0 if measure in ("rate", *UPPER) else min(low for low, _, _ in own or covered)
+        share = margin * (max(high for _, high, _ in own or covered) - low)
+        room *= ROOM_OF_RATIO if measure == "ratio" else 1
+        top, highest = _limit([(high, name) for _, high, name in rest], share, margin, 1, apart[1], room)
+        bottom, lowest = _limit([(low, name) for low, _, name in rest], share, margin, -1, apart[0], room)
+        return bottom, top, highest if measure in UPPER else f"{lowest}, {highest}"
+
+    broken = 0
     for room in ROOMS:
-        broken = []
-        for low, high, name in wanted:
-            rest, own = ([row for row in rows if row[2] != name] for rows in (found, covered))
-            if rest:
-                bottom, top, _ = _ends(measure, rest, own or covered, apart, margin, room)
-                broken += [name] if Decimal(bottom) > low or high > Decimal(top) else []
+        tried = [(ends(name, room), low, high) for low, high, name in wanted]
+        broken = sum(float(bottom) > low or high > float(top) for (bottom, top, _), low, high in tried)
         if not broken:
             break
-    bottom, top, comment = _ends(measure, found, covered, apart, margin, room)
-    lost = f"flights differ too much: {len(broken)} of {len(wanted)} do not keep it" if broken else ""
-    if write:
-        return Rule(source, write(bottom, top), comment, lost)
+    bottom, top, comment = ends("", room)
+    lost = f"flights differ too much: {broken} of {len(wanted)} do not keep it" if broken else ""
+    if one.write:
+        return Rule(one.source, one.write(bottom, top), comment, lost)
     if measure in UPPER:
-        return Rule(source, f"{what}={top}", comment.rpartition(", ")[2], lost)
+        return Rule(one.source, f"{one.what}={top}", comment, lost)
     # A field of the user's may have the name of a measure.
-    text = re.sub(r"\.(count|rate|gap)\.numbers$", r".\1.value", what).removesuffix(".numbers")
-    return Rule(source, f"{text}={bottom}..{top}", comment, lost)
+    text = re.sub(r"\.(count|rate|gap)\.numbers$", r".\1.value", one.what).removesuffix(".numbers")
+    return Rule(one.source, f"{text}={bottom}..{top}", comment, lost)
 
 
-def _ends(
-    measure: str,
-    found: list[Extreme],
-    covered: list[Extreme],
-    apart: tuple[Decimal, Decimal],
-    margin: Decimal,
-    room: Decimal,
-) -> tuple[str, str, str]:
-    """Return the limits below and above, and the extremes that they come from."""
-    from_zero = measure in ("rate", *UPPER)
-    share = margin * (max(high for _, high, _ in covered) - (0 if from_zero else min(low for low, _, _ in covered)))
-    if measure == "ratio":
-        room *= ROOM_OF_RATIO
-    top, highest = _limit([(high, name) for _, high, name in found], share, margin, 1, apart[1], room)
-    bottom, lowest = _limit([(low, name) for low, _, name in found], share, margin, -1, apart[0], room)
-    return bottom, top, f"{lowest}, {highest}"
-
-
-def _apart(values: Sequence[Decimal], sign: int) -> Decimal:
+def _apart(values: Sequence[float], sign: int) -> float:
     """Return how far the extreme of flights, above (sign 1) or below (-1), lies beyond the median flight's."""
     return abs(max(values, key=lambda value: sign * value) - median(values))
 
 
 def _limit(
-    ends: list[tuple[Decimal, str]],
-    share: Decimal,
-    margin: Decimal,
-    sign: int,
-    apart: Decimal = Decimal(0),
-    room: Decimal = Decimal(1),
+    ends: list[tuple[float, str]], share: float, margin: float, sign: int, apart: float = 0.0, room: float = 1.0
 ) -> tuple[str, str]:
     """Return the limit above (sign 1) or below (-1) what was seen, and the extreme that it comes from.
 
@@ -244,33 +428,32 @@ def _limit(
     """
     extreme, name = max(ends, key=lambda end: sign * end[0])
     apart = max(apart, _apart([value for value, _ in ends], sign))
-    beyond = (max(share, margin * LEAST_RANGE * abs(extreme)) + 2 * apart) * room
-    beyond = beyond if extreme else share * NOISE
+    beyond = (max(share, margin * LEAST_RANGE * abs(extreme)) + 2 * apart) * room if extreme else share * NOISE
     limit = extreme
-    if beyond:
-        digits = Decimal(1).scaleb(beyond.adjusted() - 1)
-        limit = (extreme + sign * beyond).quantize(digits, ROUND_CEILING if sign > 0 else ROUND_FLOOR)
-    return f"{limit.normalize():f}", f"{extreme:.7g} in {name}"
+    if beyond:  # of which two digits are written
+        scale = 10.0 ** (1 - math.floor(math.log10(beyond)))
+        limit = sign * math.ceil(round(sign * (extreme + sign * beyond) * scale, 6)) / scale
+    return np.format_float_positional(limit, precision=12, trim="-"), f"{extreme:.7g} in {name}"
 
 
-def _counted(flights: dict[str, list[Record]], margin: Decimal) -> list[Rule]:
+def _counted(flights: Sequence[Good], margin: float) -> list[Rule]:
     """Return the rules of `check` alone: each with 0, or with what good flights have."""
-    seen: dict[str, dict[str, Decimal]] = defaultdict(dict)
-    for name, records in flights.items():
-        for row in records:
-            if "rule" in row:
-                counts = seen[row["rule"].partition("=")[0]]
-                counts[name] = max(counts.get(name, Decimal(0)), Decimal(row["seen"] or 0))
+    seen: dict[str, dict[str, float]] = defaultdict(dict)
+    for flight in flights:
+        for row in flight.records["check"]:
+            counts = seen[row["rule"].partition("=")[0]]
+            counts[flight.name] = max(counts.get(flight.name, 0.0), float(row["seen"] or 0))
     rules = []
     for kind, counts in seen.items():
-        ends = [(count, name) for name, count in counts.items()]
-        limit, most = _limit(ends, max(counts.values()) * margin, margin, 1)
-        whole = Decimal(limit).to_integral_value(ROUND_CEILING)
+        limit, most = _limit(
+            [(count, name) for name, count in counts.items()], max(counts.values()) * margin, margin, 1
+        )
+        whole = math.ceil(float(limit))
         rules.append(Rule("", f"{kind}={whole}", most if whole else ""))
     return rules
 
 
-def _reserved(extremes: dict[tuple[str, str], list[Extreme]], fields: Record) -> list[Rule]:
+def _reserved(findings: Sequence[Finding], fields: Record) -> list[Rule]:
     """Return a rule for each compressed float, that none of its values is reserved."""
     floats = {
         f"{message}.{column['name'].removesuffix('_special')}.numbers"
@@ -278,27 +461,32 @@ def _reserved(extremes: dict[tuple[str, str], list[Extreme]], fields: Record) ->
         for column in entry["columns"]
         if column["name"].endswith("_special")
     }
-    return [Rule(source, f"{what.removesuffix('.numbers')}.special=0") for source, what in extremes if what in floats]
-
-
-def _constants(extremes: dict[tuple[str, str], list[Extreme]], fields: Record) -> list[Rule]:
-    """Return a rule for each meaning of each enum, that it always has this one: good flights keep one or none."""
     return [
-        Rule(source, f"{message}.{column['name']}={number}..{number}", text)
-        for source, message in dict.fromkeys((source, what.partition(".")[0]) for source, what in extremes)
-        for column in fields["messages"][message]["columns"]
-        for number, text in (column.get("values") or {}).items()
+        Rule(one.source, f"{one.what.removesuffix('.numbers')}.special=0") for one in findings if one.what in floats
     ]
 
 
-def _learn_share(rule: Rule, margin: Decimal) -> bool:
+def _constants(flights: Sequence[Good]) -> list[Rule]:
+    """Return a rule for each enum and each integer of flags that never changed in any flight."""
+    rules = []
+    for (source, message), found in _by_source(flights).items():
+        for name in found[0][1].names("enum") + found[0][1].names("flags"):
+            seen = {value for _, one in found for value in np.unique(one.columns[name][np.isfinite(one.columns[name])])}
+            if len(seen) == 1:
+                texts = {text for _, one in found for text in one.texts.get(name, ())}
+                value = f"{seen.pop():.0f}"
+                rules.append(Rule(source, f"{message}.{name}={value}..{value}", ", ".join(texts) or "always"))
+    return rules
+
+
+def _learn_share(rule: Rule, margin: float) -> bool:
     """Set the share of values that may be reserved. Returns whether a flight may break the rule."""
     if not rule.seen:
         return False
     limit, rule.comment = _limit(rule.seen, max(share for share, _ in rule.seen) * margin, margin, 1)
-    rule.text = f"{rule.text.partition('=')[0]}={max(Decimal(limit), LEAST_SHARE)}"
+    rule.text = f"{rule.text.partition('=')[0]}={max(float(limit), LEAST_RESERVED):g}"
     rule.lost = ""
-    return Decimal(limit) < 1
+    return float(limit) < 1
 
 
 def _mark_lost(rules: list[Rule], flights: dict[str, list[Record]]) -> None:
@@ -309,7 +497,7 @@ def _mark_lost(rules: list[Rule], flights: dict[str, list[Record]]) -> None:
             text = verdict["rule"]
             rule = by_key.get((verdict["source"] or "", text)) or by_key.get(("", text))
             if rule and verdict["seen"] is not None:
-                rule.seen.append((Decimal(verdict["seen"]), name))
+                rule.seen.append((float(verdict["seen"]), name))
             if rule and verdict["ok"] is not True:
                 seen = " ".join(str(verdict[key]) for key in ("seen", "note") if verdict[key] is not None)
                 rule.lost = f"{name} does not keep it ({seen})"

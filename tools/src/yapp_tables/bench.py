@@ -3,18 +3,18 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+from pyarrow import csv
 
 from .errors import SetupError
-from .runs import Samples
-from .series import Array
+from .intervals import slope
+from .series import Array, Samples, numbers
 
 STEP = 0.05  # seconds of the grid on which speeds are compared
 LEAST, APART, SECOND = 0.9, 2.0, 0.97  # correlation; seconds between two offsets; of the best correlation
@@ -35,53 +35,38 @@ class Bench:
 def read(path: Path) -> tuple[Array, Array, dict[str, Array]]:
     """Return times in seconds from the first row, speeds, and all columns of numbers, of a CSV. Raises SetupError."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with path.open("rb") as file:
             sample = file.read(4096)
-            file.seek(0)
-            rows = list(csv.reader(file, delimiter=";" if sample.count(";") > sample.count(",") else ","))
-    except (OSError, UnicodeDecodeError) as error:
+        parse = csv.ParseOptions(
+            delimiter=";" if sample.count(b";") > sample.count(b",") else ",", invalid_row_handler=lambda _: "skip"
+        )
+        table = csv.read_csv(path, parse_options=parse)
+    except (OSError, pa.ArrowInvalid) as error:
         raise SetupError(f"{path} cannot be read: {error}") from error
-    if len(rows) < 20:
-        raise SetupError(f"{path} has {len(rows)} rows; a log of a bench has a header and a row for each sample")
-    head = rows[0]
-    time = next(
-        (at for at, name in enumerate(head) if re.match(r"\s*(time|t|timestamp)\b|.*_time\b", name, re.I)), None
-    )
-    speed = next((at for at, name in enumerate(head) if re.search(r"rpm|speed|drehzahl", name, re.I)), None)
+    if len(table) < 20:
+        raise SetupError(f"{path} has {len(table)} rows; a log of a bench has a header and a row for each sample")
+    names = table.schema.names
+    time = next((name for name in names if re.match(r"\s*(time|t|timestamp)\b|.*_time\b", name, re.I)), None)
+    speed = next((name for name in names if re.search(r"rpm|speed|drehzahl", name, re.I)), None)
     if time is None or speed is None:
         what = "time" if time is None else "speed (rpm)"
-        raise SetupError(f"{path} has no column of {what}; its columns: {', '.join(head)}")
-    body = [row for row in rows[1:] if len(row) == len(head)]
-    columns = {name: np.array([_number(row[at]) for row in body]) for at, name in enumerate(head)}
-    times = np.array([_seconds(row[time]) for row in body])
-    if re.search(r"\bms\b|milli", head[time], re.I):
-        times = times / 1e3
-    elif re.search(r"\b[uµ]s\b|micro", head[time], re.I):
-        times = times / 1e6
-    good = np.isfinite(times)
-    if good.sum() < 20:
-        raise SetupError(f"{path}: {head[time]} is no time: {body[0][time]!r}; seconds, ms, or ISO 8601 are")
-    order = np.flatnonzero(good)[np.argsort(times[good], kind="stable")]
-    kept = {_name(name): values[order] for name, values in columns.items() if np.isfinite(values).mean() > 0.5
-            and name != head[time]}  # fmt: skip
-    return times[order] - times[order[0]], columns[head[speed]][order], kept
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return float("nan")
-
-
-def _seconds(text: str) -> float:
-    number = _number(text)
-    if number == number:
-        return number
-    try:
-        return datetime.fromisoformat(text.strip()).timestamp()
-    except ValueError:
-        return float("nan")
+        raise SetupError(f"{path} has no column of {what}; its columns: {', '.join(names)}")
+    is_number = {each.name: pa.types.is_integer(each.type) or pa.types.is_floating(each.type) for each in table.schema}
+    columns = {name: numbers(table[name]) for name in names if is_number[name] and name != time}
+    if pa.types.is_timestamp(table.schema.field(time).type):
+        times = table[time].cast(pa.timestamp("ns", table.schema.field(time).type.tz)).cast(pa.int64()).to_numpy() / 1e9
+    elif is_number[time]:
+        unit = (
+            1e3 if re.search(r"\bms\b|milli", time, re.I) else 1e6 if re.search(r"\b[uµ]s\b|micro", time, re.I) else 1
+        )
+        times = numbers(table[time]) / unit
+    else:
+        raise SetupError(f"{path}: {time} is no time: {table[time][0]}; seconds, ms, or ISO 8601 are")
+    if speed not in columns:
+        raise SetupError(f"{path}: {speed} has cells that are no numbers")
+    order = np.argsort(times, kind="stable")[: np.isfinite(times).sum()]
+    kept = {_name(name): values[order] for name, values in columns.items()}
+    return times[order] - times[order[0]], columns[speed][order], kept
 
 
 def _name(text: str) -> str:
@@ -133,9 +118,7 @@ def _fits(own: Array, theirs: Array) -> list[tuple[float, float]]:
 
     def sums(a: Array, b: Array) -> Array:
         found = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
-        return (
-            np.concatenate([found[-(len(theirs) - 1) :], found[: len(own)]]) if len(theirs) > 1 else found[: len(own)]
-        )
+        return np.concatenate([found[size - len(theirs) + 1 :], found[: len(own)]])
 
     own, theirs = own / max(own.max(), 1e-9), theirs / max(theirs.max(), 1e-9)
     ones = np.ones(len(own)), np.ones(len(theirs))
@@ -176,11 +159,8 @@ def _clock(one: Samples, times: Array, speed: Array, offset: float) -> tuple[flo
         ]
         middles.append(begin + length / 2)
         offsets.append(offset + tries[int(np.argmin(sums))])
-    if len(middles) < 2:
-        return 0.0, offsets[0] if offsets else offset
     if len(middles) < 4:
-        return 0.0, float(np.median(offsets))
-    first, second = np.triu_indices(len(middles), 1)
+        return 0.0, float(np.median(offsets)) if offsets else offset
     x, y = np.array(middles), np.array(offsets)
-    rate = float(np.median((y[second] - y[first]) / (x[second] - x[first])))
+    rate = slope(x, y)[0]
     return rate, float(np.median(y - rate * x))

@@ -14,12 +14,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 from . import cards
-from .api import read_flight
-from .config import Config
-from .errors import CaptureError, SetupError, need
-from .flight import Flight
+from .errors import CaptureError, SetupError
+from .flight import Flight, read_flight
 from .incidents import is_command
 from .install import ask
+from .limits import Limits
+from .report import write_report
 from .scratch import scratch, write_whole
 from .sources import controllers
 from .tshark import Record, Tshark
@@ -29,12 +29,11 @@ LONGEST = 20  # seconds: of a fault that stays, so much
 LATER = 1  # seconds in which a message that began in time may end
 
 
-def write_case(capture: Path, number: int, config: Config, out: Path) -> str:
+def write_case(capture: Path, number: int, tshark: Tshark, out: Path) -> str:
     """Write the zip of a fault, 1 for the first; returns what is in it. Raises YappError."""
-    tshark, _ = config.of(capture)
     flight = read_flight(capture, tshark, has_begin=True)
-    flight.cards, said = cards.read(capture, tshark, [number])
-    card = next((one for one in flight.cards if one["incident"] == number), None)
+    told, said = cards.read(capture, tshark, [number])
+    card = next((one for one in told if one["incident"] == number), None)
     if card is None:
         raise CaptureError("; ".join([f"{capture} has no fault {number}: -z yapp,faults lists all", *said]))
     begin = Decimal(str(card["time"])) - AROUND
@@ -42,22 +41,20 @@ def write_case(capture: Path, number: int, config: Config, out: Path) -> str:
     frames = _frames(capture, tshark, card, flight, begin, end)
     who = card["source"] or f"{card['bus'] or ''} {card['id']:#x}".strip()
     about = f"{len(frames)} frames of {who}, its Commands and bus errors, {AROUND} s around the fault"
-    told = {"case": f"fault {number} of {capture.name}: {about}", **_versions(capture, tshark, flight)}
+    versions = {"case": f"fault {number} of {capture.name}: {about}", **_versions(capture, tshark, flight)}
     with scratch() as folder:
         part, page = folder / "frames.pcapng", folder / "page.html"
         tshark.run(capture, ["-Y", f"frame.number in {{{_ranges(frames)}}}", "-w", str(part)])
         if not part.is_file():
             raise CaptureError(f"{capture}: tshark wrote no frames of fault {number}; try -z yapp,fault,{number}")
-        need(f"{__package__}.report", "report").write_report([flight], page)
+        write_report(flight, page, Limits(), told)
         files = {
             "card.txt": tshark.run(capture, ["-q", "-z", f"yapp,fault,{number}"]).encode(),
             "card.json": json.dumps(card, indent=1, default=float).encode(),
-            "versions.txt": "".join(f"{key}: {value}\n" for key, value in told.items()).encode(),
+            "versions.txt": "".join(f"{key}: {value}\n" for key, value in versions.items()).encode(),
             part.name: part.read_bytes(),
             page.name: page.read_bytes(),
         }
-    if tshark.catalogue:
-        files[Path(tshark.catalogue).name] = Path(tshark.catalogue).read_bytes()
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():

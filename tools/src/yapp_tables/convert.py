@@ -1,26 +1,33 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""One capture to its result: tshark writes aside, a writer makes files of that, they are moved to their place."""
+"""Captures to a data set, on this machine's cores or a Dask cluster.
+
+Of each capture, tshark writes aside, a writer makes files of that, and they are moved to their place.
+"""
 
 from __future__ import annotations
 
+import glob
 import os
-from collections.abc import Sequence
-from dataclasses import replace
-from datetime import UTC, datetime
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from urllib.parse import quote
+from typing import Literal
 
-from .config import Config, StrPath
-from .dataset import DataSet, MadeBy, Result, plain_name
+from tqdm import tqdm
+
+from .dataset import DataSet, Result, flight_id, plain_name
 from .errors import CaptureError, SetupError, YappError, need
-from .records import YEAR_2000, all_tables, columns_of, name_hint, table
-from .sources import begin
-from .tables import Origin, Table, digests, nothing_in, present
-from .tshark import Export, Tshark, check_file, left_out
+from .records import all_tables
+from .tables import Origin, catalogue_version, nothing_in, present
+from .tshark import Record, Tshark, check_file
 from .writers import Target, Writer
 
-# How readers of such folders call an unknown value.
-NO_PARTITION = "__HIVE_DEFAULT_PARTITION__"
+StrPath = str | os.PathLike[str]
+Kind = Literal["parquet", "csv", "delta", "mf4", "mcap"]
+SCHEDULER_SECONDS = 10
 # The module and the function that write a kind, and the extra that it needs: imported only when it is asked for.
 KINDS = {
     "parquet": ("writers", "write_parquet", ""),
@@ -29,6 +36,107 @@ KINDS = {
     "mf4": ("mf4", "write_mf4", "mdf"),
     "mcap": ("mcap_file", "write_mcap", "mcap"),
 }
+
+
+@dataclass(frozen=True)
+class Config:
+    """What a conversion depends on besides its capture: all that another machine needs to know.
+
+    out: a folder, or a URL of fsspec such as s3://bucket/folder; to: "parquet", "csv", "mf4", "mcap" or "delta";
+    tshark: how captures are decoded; bench: the log of a thrust stand, for the one capture that it is of.
+    """
+
+    out: str
+    to: Kind = "parquet"
+    tshark: Tshark = field(default_factory=Tshark)
+    bench: str | None = None
+
+
+def find(patterns: StrPath | Iterable[StrPath]) -> list[Path]:
+    """Return the files that are meant, absolute, in order, each once; SetupError where a pattern finds none."""
+    found: dict[Path, None] = {}
+    for given in [patterns] if isinstance(patterns, str | os.PathLike) else patterns:
+        pattern = os.fspath(given)
+        names = [pattern]
+        if not os.path.exists(pattern) and glob.has_magic(pattern):
+            names = sorted(name for name in glob.glob(pattern, recursive=True) if os.path.isfile(name))
+            if not names:
+                raise SetupError(f"no file matches {pattern}")
+        found |= dict.fromkeys(Path(os.path.abspath(name)) for name in names)
+    if not found:
+        raise SetupError("no captures: the list is empty")
+    return list(found)
+
+
+def convert_all(
+    captures: StrPath | Iterable[StrPath], config: Config, *, jobs: int | None = None, scheduler: str | None = None
+) -> list[Result]:
+    """Convert captures to a data set, what is up to date not again; one that fails holds nobody up.
+
+    Returns a Result for each, in the order of the captures. Raises SetupError where nothing can be done, or the cluster
+    was lost: the same call does the rest. `yapp_tables.convert` describes the other parameters.
+    """
+    found = find(captures)
+    writer(config.to)
+    config = replace(config, out=_absolute(config.out))
+    dataset = DataSet(config.out, config.to)
+    made = made_by(config.tshark, config.tshark.fields())
+    dataset.open()
+    with _executor(scheduler, jobs or os.cpu_count() or 1) as pool:
+        done = _run(found, config, made, pool)
+    flights = {result.capture: result.flight_id for result in done.values() if not result.failure}
+    for old in dataset.results():  # of a capture that has another content now
+        if old.capture in flights and old.flight_id not in flights.values():
+            dataset.forget(old)
+    if config.to == "delta":
+        names = {name for result in done.values() for name in result.messages}
+        need(f"{__package__}.delta", "delta").compact(dataset.url, names)
+    return [done[capture] for capture in found]
+
+
+def _absolute(out: str) -> str:
+    if re.match(r"\w{2,}:(?!//)", out):  # C: is a drive
+        raise SetupError(f"{out} is neither a folder nor a URL such as s3://bucket/folder")
+    return out if "://" in out else os.path.abspath(out)
+
+
+@contextmanager
+def _executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
+    """Where the work is done: `jobs` threads, each waiting for a tshark of its own, or the cluster."""
+    if scheduler is None:
+        pool = ThreadPoolExecutor(jobs)
+        try:
+            yield pool
+        finally:
+            pool.shutdown(cancel_futures=True)
+        return
+    distributed = need("distributed", "fleet")
+    try:
+        client = distributed.Client(scheduler, timeout=SCHEDULER_SECONDS)
+    except (OSError, ValueError) as error:
+        raise SetupError(f"no Dask scheduler answers at {scheduler}: {error}") from error
+    with client:
+        yield client.get_executor(pure=False)
+
+
+def _run(captures: Sequence[Path], config: Config, made: str, pool: Executor) -> dict[Path, Result]:
+    """Convert all, the largest first."""
+    sizes = {capture: capture.stat().st_size if capture.exists() else 0 for capture in captures}
+    waiting = {}
+    for capture in sorted(captures, key=lambda capture: -sizes[capture]):
+        waiting[pool.submit(convert_one, capture, config, made)] = capture
+    done: dict[Path, Result] = {}
+    with tqdm(total=sum(sizes.values()), unit="B", unit_scale=True, disable=None) as bar:
+        for future in as_completed(waiting):
+            capture = waiting[future]
+            if future.cancelled():
+                raise SetupError("the Dask scheduler went away; the same command does the rest")
+            error = future.exception()
+            failed = Result("", str(capture), made, failure=str(error) or type(error).__name__)
+            done[capture] = failed if error else future.result()
+            bar.set_postfix_str(f"{len(done)}/{len(captures)} files", refresh=False)
+            bar.update(sizes[capture])
+    return done
 
 
 def writer(to: str) -> Writer:
@@ -40,104 +148,65 @@ def writer(to: str) -> Writer:
     return found
 
 
-def made_by(tshark: Tshark, fields: dict[str, object]) -> MadeBy:
-    """Return what results of this tshark depend on, from its fields.json."""
-    options = (*tshark.options, *((f"-C {tshark.profile}",) if tshark.profile else ()))
-    return MadeBy(str(fields["plugin"]), digests(fields), options, tshark.filter)
+def made_by(tshark: Tshark, fields: Record) -> str:
+    """Return what results of this tshark depend on, from its fields.json: plugin, catalogue, options and filter."""
+    profile = f"-C {tshark.profile}" if tshark.profile else ""
+    parts = (f"plugin {fields['plugin']}", catalogue_version(fields), *tshark.options, profile, tshark.filter)
+    return "; ".join(part for part in parts if part)
 
 
-def look_up(capture: Path, dataset: DataSet, made: MadeBy) -> tuple[str, str | None, Result | None]:
-    """Return the flight_id of a capture, that of what this path had before, and its result if that is up to date."""
-    check_file(capture)
-    flight, before = dataset.identify(capture)
-    known = dataset.find(flight)
-    if known is None or not known.is_current(made) or not dataset.has_files(known):
-        return flight, before, None
-    if known.capture != str(capture) and not os.path.exists(known.capture):  # it was moved
-        known = replace(known, capture=str(capture))
-        dataset.note(known)
-    return flight, before, known
-
-
-def convert_one(capture: StrPath, config: Config, made: MadeBy | None = None, tries: int = 3) -> Result:
+def convert_one(capture: StrPath, config: Config, made: str | None = None) -> Result:
     """Convert one capture: a task for Dask, Prefect, Dagster or a loop.
 
     It may run twice at once, and be killed at any point: the data set then has the flight once, or not yet.
 
-    made: made_by() of the machine that gives the order; this one must give the same; tries: how often a tshark that
-    crashes is started.
+    made: what the machine that gives the order has of plugin and catalogue; this one must have the same.
 
     Returns the Result, whose `failure` says why there is no data. Raises SetupError where no other capture would do
     better on this machine, and YappError where the data set cannot be written.
     """
     capture = Path(os.path.abspath(capture))
-    tshark, aircraft = config.of(capture)
-    made = made or made_by(tshark, tshark.fields()[0])
-    dataset = DataSet(config.out, config.to, config.run)
+    made = made or made_by(config.tshark, config.tshark.fields())
+    dataset = DataSet(config.out, config.to)
     dataset.open()
     flight = ""
     try:
-        flight, before, known = look_up(capture, dataset, made)
-        if known and not config.bench:
+        check_file(capture)
+        flight = flight_id(capture)
+        known = dataset.find(flight)
+        if known and known.made_by == made and dataset.has_files(known) and not config.bench:
+            if known.capture != str(capture) and not os.path.exists(known.capture):  # it was moved
+                known = replace(known, capture=str(capture))
+                dataset.note(known)
             return known
-        result = _convert(capture, config, dataset, Origin(flight, capture, aircraft, tshark), made)
-        former = dataset.find(before) if before and before != flight else None
-        if former and former.capture == str(capture):  # the file has another content now
-            dataset.forget(former)
-        return result
+        return _convert(capture, config, dataset, Origin(flight, capture, tuple(config.tshark.options)), made)
     except SetupError:
         raise
     except OSError as error:
         raise YappError(f"{config.out}: {error}") from error
     except YappError as error:
-        if tries > 1 and not isinstance(error, CaptureError):
-            return convert_one(capture, config, made, tries - 1)
-        failed = Result(flight, str(capture), made, failure=str(error).removeprefix(f"{capture}: "))
-        if flight:
-            dataset.place(capture.parent, failed)
-        return failed
+        return Result(flight, str(capture), made, failure=str(error).removeprefix(f"{capture}: "))
 
 
-def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, made: MadeBy) -> Result:
+def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, made: str) -> Result:
     with dataset.aside() as aside:
-        export = origin.tshark.export(capture, aside / "export")
-        _check(capture, origin.tshark, export, made)
+        export = config.tshark.export(capture, aside / "export")
+        here = made_by(config.tshark, export.fields)
+        if here != made:
+            raise SetupError(f"the machine that works on it has another plugin or catalogue: {here}, not {made}")
+        if not present(export):
+            raise CaptureError(nothing_in(capture, export, config.tshark.filter))
         tables = all_tables(export, origin, Path(config.bench) if config.bench else None)
         name = f"{plain_name(capture)}-{origin.flight_id[:8]}{'.partial' if export.partial else ''}"
         folder = aside / "result"
         folder.mkdir()
         before = dataset.find(origin.flight_id)
-        writer(config.to)(
-            tables, Target(folder, name, dataset.url, origin.flight_id, _partition(config, origin, tables))
-        )
-        files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-        counts = {table.name: table.count for table in tables}
-        lacks = tuple(left_out(None, export.undecoded, export.complaints))
-        hint = name_hint(table(export.records["summary"], columns_of(export.fields, "summary")))
-        result = Result(
-            origin.flight_id, str(capture), made, tuple(files), counts, export.partial, lacks, hint=hint,
-            notes=(*export.notes, *export.said),
-        )  # fmt: skip
+        writer(config.to)(tables, Target(folder, name, dataset.url, origin.flight_id))
+        files = tuple(sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()))
+        counts = {table.name: len(table.rows) for table in tables}
+        notes = (*export.notes, *export.said)
+        result = Result(origin.flight_id, str(capture), made, files, counts, export.partial, export.lacks, None, notes)
         dataset.place(folder, result)
         if before and config.to == "delta" and (gone := before.messages.keys() - counts.keys()):
             need(f"{__package__}.delta", "delta").delete(dataset.url, origin.flight_id, gone)
         return result
-
-
-def _partition(config: Config, origin: Origin, tables: Sequence[Table]) -> str:
-    """Return the folder of a flight below each table: its day in UTC, or its aircraft."""
-    if config.partition is None:
-        return ""
-    value = origin.aircraft
-    if config.partition == "day":
-        start = begin(tables)
-        value = str(datetime.fromtimestamp(start // 10**9, UTC).date()) if start >= YEAR_2000 else None
-    return f"{config.partition}={quote(value, safe='') if value else NO_PARTITION}"
-
-
-def _check(capture: Path, tshark: Tshark, export: Export, made: MadeBy) -> None:
-    here = made_by(tshark, export.fields)
-    if here != made:
-        raise SetupError(f"the machine that works on it has another plugin or catalogue: {here}, not {made}")
-    if not present(export):
-        raise CaptureError(nothing_in(capture, export, tshark.filter))

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import shlex
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -16,7 +14,7 @@ from typing import Any
 import fsspec
 
 from .errors import SetupError, need
-from .scratch import clean, scratch
+from .scratch import scratch
 from .tables import SCHEMA
 
 NOTES = ".yapp-tables"
@@ -24,45 +22,23 @@ SUFFIXES = (".gz", ".zst", ".lz4", ".pcapng", ".pcap", ".cap", ".log", ".txt", "
 
 
 @dataclass(frozen=True)
-class MadeBy:
-    """What a result depends on besides its capture. catalogue: {message: a short name of its description}."""
-
-    plugin: str
-    catalogue: dict[str, str]
-    options: tuple[str, ...] = ()
-    filter: str | None = None
-
-
-@dataclass(frozen=True)
 class Result:
     """What is known of a converted capture.
 
-    flight_id: of the capture's content; capture: its absolute path; files: relative to the data set;
-    messages: {message: rows}; partial: why only a part could be read; lacks: sentences on what was not decoded;
-    failure: why there are no files; hint: what to set so that controllers have names; notes: sentences on what it has.
+    flight_id: of the capture's content; capture: its absolute path; made_by: plugin, catalogue and options;
+    files: relative to the data set; messages: {message: rows}; partial: why only a part could be read;
+    lacks: sentences on what was not decoded; failure: why there are no files; notes: sentences on what it has.
     """
 
     flight_id: str
     capture: str
-    made_by: MadeBy
+    made_by: str
     files: tuple[str, ...] = ()
     messages: dict[str, int] = field(default_factory=dict)
     partial: str | None = None
     lacks: tuple[str, ...] = ()
     failure: str | None = None
-    hint: str = ""
     notes: tuple[str, ...] = ()
-
-    def is_current(self, made_by: MadeBy) -> bool:
-        """Return whether it needs no other try: made by the same, but for messages that it does not have."""
-        ours, theirs = self.made_by, made_by
-        known = ours.catalogue.keys()
-        changed = {name for name, digest in theirs.catalogue.items() if ours.catalogue.get(name) != digest}
-        # A message that is new may be in any capture; one that changed only where it was, or where something was not
-        # decoded.
-        same = not (changed - known) and not (changed | (known - theirs.catalogue.keys())) & self.messages.keys()
-        rest = [(made.plugin, made.options, made.filter) for made in (ours, theirs)]
-        return self.failure is None and rest[0] == rest[1] and same and not (changed and self.lacks)
 
 
 def flight_id(capture: Path) -> str:
@@ -82,12 +58,9 @@ def plain_name(capture: Path) -> str:
 class DataSet:
     """The results of one kind. What is known of them lies beside the data, in `<out>.yapp-tables/<kind>`."""
 
-    def __init__(self, out: str, to: str, run: str = "") -> None:
-        """Find the place. Raises SetupError.
-
-        out: a folder or URL, "data" or "s3://bucket/data"; to: the kind; run: a name of this run, for `clean`.
-        """
-        self.to, self.run = to, run
+    def __init__(self, out: str, to: str) -> None:
+        """Find the place: a folder or URL, "data" or "s3://bucket/data", and the kind. Raises SetupError."""
+        self.to = to
         try:
             self.fs, path = fsspec.core.url_to_fs(out)
         except (ImportError, ValueError) as error:
@@ -103,36 +76,18 @@ class DataSet:
     def open(self) -> None:
         """Make the folders; SetupError where they cannot be written, or hold results of another version."""
         try:
-            for folder in (self.path, f"{self.notes}/paths"):
+            for folder in (self.path, f"{self.notes}/version"):
                 self.fs.makedirs(folder, exist_ok=True)
-            known = list(self.results())
-            if not known:
-                self._write("paths/schema", {"version": SCHEMA})
-            version = (self._read("paths/schema") or {}).get("version", "4 or older")
+            if not self.fs.glob(f"{self.notes}/*.json"):
+                self._write("version/schema", {"version": SCHEMA})
+            version = (self._read("version/schema") or {}).get("version", "5 or older")
             if version != SCHEMA:
-                captures = [Path(result.capture) for result in known]
-                folder = os.path.commonpath([capture.parent for capture in captures])
-                patterns = " ".join(sorted({shlex.quote(f"{folder}/**/*{capture.suffix}") for capture in captures}))
-                again = f"yapp-tables convert {patterns} --to {self.to} --out {self.path}-{SCHEMA}"
+                again = f"yapp-tables convert CAPTURES --to {self.to} --out {self.path}-{SCHEMA}"
                 raise SetupError(
                     f"{self.path} has version {version} of the tables, not {SCHEMA}; make it anew: {again}"
                 )
         except OSError as error:
             raise SetupError(f"{self.path} cannot be written: {error.strerror or error}") from error
-
-    def identify(self, capture: Path) -> tuple[str, str | None]:
-        """Return the flight_id of a capture, and the one that this path had before, if another.
-
-        A capture of the same size and time of change is not read again.
-        """
-        state: list[int] = [capture.stat().st_size, capture.stat().st_mtime_ns]
-        note = f"paths/{hashlib.sha256(str(capture).encode()).hexdigest()[:16]}"
-        known = self._read(note) or {}
-        if known.get("state") == state:
-            return known["flight_id"], known.get("before")
-        flight, before = flight_id(capture), known.get("flight_id")
-        self._write(note, {"state": state, "flight_id": flight, "before": before})
-        return flight, before
 
     def find(self, flight: str) -> Result | None:
         """Return what is known of a flight."""
@@ -152,14 +107,14 @@ class DataSet:
     @contextmanager
     def aside(self) -> Iterator[Path]:
         """A local folder to write to, of this task alone; on the file system of the data where that is local."""
-        with scratch(self.beside if self.is_local else None, self.run) as folder:
+        with scratch(self.beside if self.is_local else None) as folder:
             yield folder
 
     def place(self, folder: Path, result: Result) -> None:
         """Move all files in folder to their place, remove what an older result left, and note the result last."""
         before = self.find(result.flight_id)
         for file in result.files:
-            self.move(folder / file, f"{self.path}/{file}")
+            self._move(folder / file, f"{self.path}/{file}")
         self._remove(set(before.files if before else ()) - set(result.files))
         # A result that was cut off half-way is not known, and is made again.
         self.note(result)
@@ -175,7 +130,7 @@ class DataSet:
         self._remove(result.files)
         self.fs.rm(f"{self.notes}/{result.flight_id}.json")
 
-    def move(self, file: Path, target: str) -> None:
+    def _move(self, file: Path, target: str) -> None:
         """Give a file its place at once."""
         if self.is_local:
             Path(target).parent.mkdir(parents=True, exist_ok=True)
@@ -188,14 +143,11 @@ class DataSet:
             if self.fs.exists(path):
                 self.fs.rm(path)
 
-    def write(self, path: str, text: str) -> None:
-        """Write a small file whole or not at all. path: in the folder beside the data."""
-        with self.aside() as folder:
-            (folder / "file").write_text(text, encoding="utf-8", newline="")
-            self.move(folder / "file", f"{self.beside}/{path}")
-
     def _write(self, name: str, record: dict[str, Any]) -> None:
-        self.write(f"{self.notes.rpartition('/')[2]}/{name}.json", json.dumps(record, indent=1))
+        """Write a note whole or not at all."""
+        with self.aside() as folder:
+            (folder / "note").write_text(json.dumps(record, indent=1), encoding="utf-8")
+            self._move(folder / "note", f"{self.notes}/{name}.json")
 
     def _read(self, name: str) -> dict[str, Any] | None:
         try:
@@ -204,13 +156,7 @@ class DataSet:
         except (OSError, ValueError):
             return None
 
-    def clean(self) -> None:
-        """Remove what this run, or one that was killed, left aside."""
-        clean(self.beside if self.is_local else None, self.run)
-
 
 def _result(record: dict[str, Any]) -> Result:
-    made_by = record.pop("made_by")
-    made_by["options"] = tuple(made_by["options"])
-    lists = {name: tuple(record.get(name, ())) for name in ("files", "lacks", "notes")}
-    return Result(**{**record, **lists, "made_by": MadeBy(**made_by)})
+    lists = {name: tuple(record[name]) for name in ("files", "lacks", "notes")}
+    return Result(**(record | lists))

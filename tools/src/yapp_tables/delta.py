@@ -8,7 +8,7 @@ import os
 import random
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import pyarrow as pa
 from deltalake import DeltaTable, write_deltalake
@@ -38,16 +38,10 @@ TYPES = {
 def write_delta(tables: Sequence[Table], target: Target) -> None:
     """Put the rows of a flight in place of those that are there; a column that is new extends the table."""
     for table in tables:
-        schema = _schema(table.schema)
 
-        def write(table: Table = table, schema: pa.Schema = schema) -> None:
-            write_deltalake(
-                _url(target.url, table.name),
-                pa.RecordBatchReader.from_batches(schema, _rows(table, schema)),
-                mode="overwrite",
-                predicate=_is(target.flight_id),
-                schema_mode="merge",
-            )
+        def write(table: Table = table) -> None:
+            url, is_its = _url(target.url, table.name), _is(target.flight_id)
+            write_deltalake(url, _rows(table.rows), mode="overwrite", predicate=is_its, schema_mode="merge")
 
         _again(write)
 
@@ -88,17 +82,9 @@ def _is(flight: str) -> str:
     return f"flight_id = '{flight}'"
 
 
-def _schema(schema: pa.Schema) -> pa.Schema:
-    fields = [field.with_type(TYPES.get(field.type, field.type)) for field in schema]
-    if "time" in schema.names and "time_ns" not in schema.names:
-        fields.append(pa.field("time_ns", pa.int64()))
-    return pa.schema(fields)
-
-
-def _rows(table: Iterable[pa.RecordBatch], schema: pa.Schema) -> Iterator[pa.RecordBatch]:
-    for batch in table:
-        columns = dict(zip(batch.schema.names, batch.columns, strict=True))
-        if "time" in columns and "time_ns" not in columns:
-            columns["time_ns"] = columns["time"].cast(pa.int64())
-        cast = [columns[field.name].cast(field.type, safe=False) for field in schema]
-        yield pa.RecordBatch.from_arrays(cast, schema=schema)
+def _rows(rows: pa.Table) -> pa.Table:
+    """Return rows with types that Delta knows."""
+    if "time" in rows.schema.names:
+        rows = rows.append_column("time_ns", rows["time"].cast(pa.int64()))
+    fields = [field.with_type(TYPES.get(field.type, field.type)) for field in rows.schema]
+    return rows.cast(pa.schema(fields), safe=False)

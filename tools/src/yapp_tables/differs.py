@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from .matrix import DEGREES, Part
-from .series import Array, Source, numbers
+from .series import DEGREES, Array, Samples
 from .words import minute
 
 Record = dict[str, Any]
+Found = Sequence[Samples]  # one message of all sources
 Windows = Sequence[tuple[float, float]]  # begin and end, in seconds since the report's start
 HOT, COLD, SECONDS = 10.0, 20.0, 20  # a temperature above or below the others, for so long
 FOLLOWS, SHARE = 2.0, 0.002  # times worse than the others, and of the largest command
@@ -26,18 +26,17 @@ SURGE, STEPS = 1.8, 2  # times the others' value at the same moment, for so many
 APART = 0.1  # and by this share of the largest value of a flight
 ALIKE = 0.03  # of its speed: peers turn as fast
 AGREE = 2 / 3  # of the others have to be alike
-ABSENT = 0.95  # of all samples
 FLYING = 0.3  # of the usual highest speed
 DIP = 0.9  # of the usual voltage
 AROUND = 10.0  # seconds before and after a fault
 
 
-def flying(part: Part) -> list[tuple[float, float]]:
+def flying(found: Found) -> list[tuple[float, float]]:
     """Return the stretches of flight: most controllers turn faster than FLYING of their usual highest speed."""
-    pair = part.speed()
+    pair = found[0].speed()
     if pair is None:
         return []
-    grid = np.abs(_by_second(part.found, part.values[pair[0].name]))
+    grid = np.abs(_by_second(found, [one.columns[pair[0]] for one in found]))
     with warnings.catch_warnings(action="ignore"):
         speed = np.nanmedian(grid, axis=0)
     if not np.isfinite(speed).any():
@@ -49,63 +48,49 @@ def flying(part: Part) -> list[tuple[float, float]]:
     return sorted((float(begin), float(end)) for begin, end in _runs(is_flying, 5))
 
 
-def calm_samples(source: Source, flight: Windows, excused: Windows) -> Array:
+def calm_samples(one: Samples, flight: Windows, excused: Windows) -> Array:
     """Return which samples can be compared: in flight, if one is known, and not excused; (n) bool."""
-    use = np.full(len(source.times), not flight)
+    use = np.full(len(one.times), not flight)
     for begin, end in flight:
-        use |= (source.times >= begin) & (source.times < end)
+        use |= (one.times >= begin) & (one.times < end)
     for begin, end in excused:
-        use &= (source.times < begin) | (source.times > end)
+        use &= (one.times < begin) | (one.times > end)
     return use
 
 
-def differing(part: Part, alarms: set[str]) -> list[Record]:
+def differing(found: Found, alarms: set[str]) -> list[Record]:
     """Return {source, kind, field, text, at, end, ...} of each controller that is different.
 
     alarms: flags that are faults.
     """
-    names = [name for name in part.values if part.message.columns[name].role == "value"]
     said: list[Record] = []
-    if len(part.found) < 2:
+    if len(found) < 2:
         return said
-    supply, speed, peers = part.supply(), part.speed(), _peers(part)
-    for name in names:
-        column = part.message.columns[name]
-        values = [np.where(use, own, np.nan) for use, own in zip(part.calm, part.values[name], strict=True)]
-        about = {"field": name, "title": column.title, "unit": column.unit, "is_supply": column in (supply or ())}
-        found: list[Record] = _absent(part, name)
-        if column.unit in DEGREES:
-            found += _temperature(part.found, values)
-        elif name.endswith("_measured") and (command := name.replace("_measured", "_commanded")) in names:
-            told = zip(part.found, part.values[command], strict=True)
-            found += _following(values, [_commands(source, own, alarms) for source, own in told])
-        elif column.unit in ("A", "V", "W") and column.difference is None:
-            found += _level(part.found, values, peers)
-        if supply and name == supply[1].name:
-            found += _surges(part.found, values)
-        for row in found:
-            source = part.found[row.pop("number")]
-            said.append({"source": source.name, "at": 0.0, "end": None} | about | row)
+    lead, peers = found[0], _peers(found)
+    supply, speed = lead.supply() or ("", ""), lead.speed()
+    for name in lead.names("value"):
+        unit, rows = lead.unit_of(name), list[Record]()
+        values = [np.where(one.calm, one.columns[name], np.nan) for one in found]
+        command = name.replace("_measured", "_commanded")
+        if unit in DEGREES:
+            rows += _temperature(found, values)
+        elif command != name and command in lead.columns:
+            rows += _following(values, [_commands(one, command, alarms) for one in found])
+        elif unit in ("A", "V", "W") and not name.endswith("_error"):
+            rows += _level(found, values, peers)
+        if name == supply[1]:
+            rows += _surges(found, values)
+        about = {"field": name, "title": lead.title_of(name), "unit": unit, "is_supply": name in supply}
+        for row in rows:
+            said.append({"source": found[row.pop("number")].name, "at": 0.0, "end": None} | about | row)
     if speed:
-        followed = {row["source"] for row in said if row["kind"] == "follows" and row["field"] == speed[0].name}
+        followed = {row["source"] for row in said if row["kind"] == "follows" and row["field"] == speed[0]}
         said = [row for row in said if row["kind"] != "follows" or row["source"] not in followed
-                or row["field"] == speed[0].name]  # fmt: skip
+                or row["field"] == speed[0]]  # fmt: skip
     return said
 
 
-def _absent(part: Part, name: str) -> list[Record]:
-    """Name those that say "not connected" (the reserved value NaN) all the time, where others have a value."""
-    special = f"{name}_special"
-    if special not in part.found[0].rows.schema.names:
-        return []
-    shares = [np.mean(np.asarray(source.rows[special].to_pylist(), object) == "nan") for source in part.found]
-    if min(shares) > 1 - ABSENT:
-        return []
-    text = f"{part.message.columns[name].title} not connected, whole flight"
-    return [_said(number, "absent", text) for number, share in enumerate(shares) if share > ABSENT]
-
-
-def _temperature(found: Sequence[Source], values: list[Array]) -> list[Record]:
+def _temperature(found: Found, values: list[Array]) -> list[Record]:
     """Find who is HOT away from the others for SECONDS: the longest stretch."""
     grid, said = _by_second(found, values), []
     for number, own in enumerate(grid):
@@ -122,7 +107,7 @@ def _temperature(found: Sequence[Source], values: list[Array]) -> list[Record]:
                 slope = float(np.polyfit(minutes[good], own[begin:end][-60:][good], 1)[0]) if good.sum() > 9 else 0.0
                 text = f"{last:.0f} °C at {minute(end)}, {apart:.0f} °C {word} than the others, from {minute(begin)} on"
                 more = {"at": float(begin), "end": float(end), "value": last, "away": sign * apart, "slope": slope}
-                said.append(_said(number, "temperature", text) | more)
+                said.append({"number": number, "kind": "temperature", "text": text} | more)
     return said
 
 
@@ -133,13 +118,14 @@ def _runs(holds: Array, least: int = SECONDS) -> list[tuple[int, int]]:
     return sorted((run for run in found if run[1] - run[0] >= least), key=lambda run: run[0] - run[1])
 
 
-def _commands(source: Source, command: Array, alarms: set[str]) -> Array:
+def _commands(one: Samples, name: str, alarms: set[str]) -> Array:
     """Return what a controller was told; NaN around its faults."""
+    command = one.columns[name]
     for flag in alarms:
-        at = source.times[numbers(source.rows[flag]) > 0]
-        after = np.searchsorted(at, source.times, side="right")
-        since = source.times - np.concatenate([[-np.inf], at])[after]
-        until = np.concatenate([at, [np.inf]])[after] - source.times
+        at = one.times[one.columns[flag] > 0]
+        after = np.searchsorted(at, one.times, side="right")
+        since = one.times - np.concatenate([[-np.inf], at])[after]
+        until = np.concatenate([at, [np.inf]])[after] - one.times
         command = np.where((since < AROUND) | (until < AROUND), np.nan, command)
     return command
 
@@ -151,28 +137,23 @@ def _following(values: list[Array], commands: list[Array]) -> list[Record]:
         away = np.sort(np.abs(measured - command)[np.isfinite(measured - command)])
         if len(away) > 50:
             errors[number] = away[: int(len(away) * 0.98)].mean()
-    finite = [np.nanmax(np.abs(command)) for command in commands if np.isfinite(command).any()]
-    least = SHARE * max(finite, default=0.0)
+    least = SHARE * max((np.nanmax(np.abs(command), initial=0.0) for command in commands), default=0.0)
     said = []
     for number, error in enumerate(errors):
         others = np.delete(errors, number)
         others = others[np.isfinite(others)]
         usual = float(np.median(others) if len(others) > 2 else others.max(initial=0.0))
         if error > max(FOLLOWS * usual, least) and usual > 0:
-            times = error / usual
-            said.append(_said(number, "follows", f"follows its command {times:.1f} times worse than the others"))
+            text = f"follows its command {error / usual:.1f} times worse than the others"
+            said.append({"number": number, "kind": "follows", "text": text})
     return said
 
 
-def _peers(part: Part) -> list[list[int]]:
+def _peers(found: Found) -> list[list[int]]:
     """Return the others that turned as fast as each source; all others where these are fewer than three."""
-    pair = part.speed()
-    levels = np.full(len(part.found), np.nan)
+    levels, pair = [np.nan] * len(found), found[0].speed()
     if pair:
-        both = zip(part.calm, part.values[pair[0].name], strict=True)
-        levels = np.array(
-            [np.nanmedian(np.abs(own[use])) if np.isfinite(own[use]).any() else np.nan for use, own in both]
-        )
+        levels = [_median(np.abs(one.columns[pair[0]][one.calm])) for one in found]
     peers = []
     for number, level in enumerate(levels):
         others = [other for other in range(len(levels)) if other != number]
@@ -181,9 +162,13 @@ def _peers(part: Part) -> list[list[int]]:
     return peers
 
 
-def _level(found: Sequence[Source], values: list[Array], peers: list[list[int]]) -> list[Record]:
+def _median(values: Array) -> float:
+    return float(np.nanmedian(values)) if np.isfinite(values).any() else np.nan
+
+
+def _level(found: Found, values: list[Array], peers: list[list[int]]) -> list[Record]:
     """Compare the median of the flight; it needs three peers that agree."""
-    levels = np.array([np.nanmedian(each) if np.isfinite(each).any() else np.nan for each in values])
+    levels = np.array([_median(each) for each in values])
     said: list[Record] = []
     for number, level in enumerate(levels if len(found) > 3 else ()):
         others = levels[peers[number]]
@@ -195,21 +180,21 @@ def _level(found: Sequence[Source], values: list[Array], peers: list[list[int]])
             with warnings.catch_warnings(action="ignore"):
                 grid = _by_second(found, values)
                 far = np.abs(grid[number] - np.nanmedian(grid[peers[number]], axis=0)) > away / 3
-            share = float(far[np.isfinite(grid[number])].mean())
+            share, text = float(far[np.isfinite(grid[number])].mean()), "higher" if level > middle else "lower"
             more = {"value": float(level), "beside": middle, "share": share}
-            said.append(_said(number, "level", "higher" if level > middle else "lower") | more)
+            said.append({"number": number, "kind": "level", "text": text} | more)
     return said
 
 
-def _surges(found: Sequence[Source], values: list[Array]) -> list[Record]:
+def _surges(found: Found, values: list[Array]) -> list[Record]:
     """Find who had a multiple of what the others had at the same moment."""
     if len(found) < 3:
         return []
-    every = max(source.every for source in found)
-    size = int(max(source.times[-1] for source in found) / every) + 2
+    every = max(one.every for one in found)
+    size = int(max(one.times[-1] for one in found) / every) + 2
     grid = np.full((len(found), size), np.nan)
-    for row, source, own in zip(grid, found, values, strict=True):
-        row[np.maximum(0, np.rint(source.times / every)).astype(int)] = own
+    for row, one, own in zip(grid, found, values, strict=True):
+        row[np.maximum(0, np.rint(one.times / every)).astype(int)] = own
     # A message that comes a bit late leaves a step without a value: the one before stands there.
     grid[:, 1:] = np.where(np.isnan(grid[:, 1:]), grid[:, :-1], grid[:, 1:])
     largest = np.nanmax(np.abs(grid), initial=0.0)
@@ -222,22 +207,22 @@ def _surges(found: Sequence[Source], values: list[Array]) -> list[Record]:
         for begin, end in _runs(far, STEPS)[:1]:
             times = float(np.median(own[begin:end] / np.maximum(middle[begin:end], 1e-9)))
             more = {"at": begin * every, "end": end * every, "times": times, "value": float(np.nanmax(own[begin:end]))}
-            said.append(_said(number, "surge", f"{times:.1f} times the others'") | more)
+            said.append({"number": number, "kind": "surge", "text": f"{times:.1f} times the others'"} | more)
     return said
 
 
-def sagging(part: Part, flight: Windows) -> list[Record]:
+def sagging(found: Found, flight: Windows) -> list[Record]:
     """Find when the supply of most controllers was below DIP of what it was a minute around."""
-    pair = part.supply()
+    pair = found[0].supply()
     if pair is None:
         return []
     with warnings.catch_warnings(action="ignore"):
-        volts = np.nanmedian(_by_second(part.found, part.values[pair[0].name]), axis=0)
+        volts = np.nanmedian(_by_second(found, [one.columns[pair[0]] for one in found]), axis=0)
         second = np.arange(len(volts))
         for begin, end in [(0, flight[0][0]), (flight[-1][1], np.inf)] if flight else []:
             volts[(second >= begin) & (second < end)] = np.nan
         usual = np.array([np.nanmedian(volts[max(0, at - 60) : at + 60]) for at in second])
-    about = {"source": "Battery", "kind": "sag", "field": pair[0].name, "title": pair[0].title, "unit": "V"}
+    about = {"source": "Battery", "kind": "sag", "field": pair[0], "title": found[0].title_of(pair[0]), "unit": "V"}
     said = []
     for begin, end in sorted(_runs(volts < DIP * usual, 2)):
         low = float(np.nanmin(volts[begin:end]))
@@ -262,20 +247,16 @@ def _beside(grid: Array, number: int, near: float, company: int) -> tuple[Array,
     return middle, (is_alike >= needed) & (known >= min(2, len(others))) & (beside <= company * (known > 5))
 
 
-def _by_second(found: Sequence[Source], values: list[Array]) -> Array:
+def _by_second(found: Found, values: list[Array]) -> Array:
     """Return the mean of each source and second, the one before where there is none; NaN after five seconds."""
-    length = int(max(source.times[-1] for source in found)) + 1
+    length = int(max(one.times[-1] for one in found)) + 1
     grid = np.full((len(found), length), np.nan)
-    for row, source, each in zip(grid, found, values, strict=True):
-        good = np.isfinite(each) & (source.times >= 0)
-        at = source.times[good].astype(int)
+    for row, one, each in zip(grid, found, values, strict=True):
+        good = np.isfinite(each) & (one.times >= 0)
+        at = one.times[good].astype(int)
         count = np.bincount(at, minlength=length)
         total = np.bincount(at, each[good], minlength=length)
         last = np.maximum.accumulate(np.where(count > 0, np.arange(length), -1))
         known = (last >= 0) & (np.arange(length) - last <= 5)
         row[known] = (total / np.maximum(count, 1))[last[known]]
     return grid
-
-
-def _said(number: int, kind: str, text: str) -> Record:
-    return {"number": number, "kind": kind, "text": text}

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .runs import APART, Samples
-from .series import Array
+from .series import APART, Array, Samples
 
 STEP = 0.01  # seconds
 # Seconds of the response's time constant.

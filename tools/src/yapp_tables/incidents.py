@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -59,12 +59,10 @@ def is_command(messages: Messages, message: str | None) -> bool:
     return known is not None and not any(column.role == "clock" for column in known.columns.values())
 
 
-def events_of(
-    events: pa.Table, messages: Messages, start: int, title: Callable[[str | None], str] = str, prefix: str = ""
-) -> list[Record]:
+def events_of(events: pa.Table, messages: Messages, start: int) -> list[Record]:
     """Return events with the keys that rows are made of: at, in seconds since start, who, controller and others.
 
-    start: nanoseconds since 1970; title: of a message; prefix: of names.
+    start: nanoseconds since 1970.
     """
     own = events.drop_columns(["time"]).append_column("at", events["time"].cast(pa.int64()))
     found: list[Record] = own.to_pylist()
@@ -72,8 +70,8 @@ def events_of(
         known = messages.get(event["message"])
         event["controller"] = controller
         event["at"] = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
-        event["title"] = title(event["message"]) if event["id"] is not None else ""
-        event["who"] = prefix + source_name(event)
+        event["title"] = known.title if known else event["message"] or ""
+        event["who"] = source_name(event)
         event["is_command"] = is_command(messages, event["message"])
         event["every"] = known.every or 1.0 if known else 1.0
     return found
@@ -106,19 +104,9 @@ def excused(events: list[Record], names: Mapping[tuple[str | None, int], str]) -
 
 
 def _row(event: Record, what: str, **more: object) -> Record:
-    about = {"kind": event["kind"], "what": what, "source": event["who"], "bus": event["bus"], "id": event["id"]}
-    about |= {
-        "controller": event["controller"],
-        "message": event["title"],
-        "is_command": event["is_command"],
-        "every": event["every"],
-        "frame": event["frame"],
-        "begin": event["at"],
-        "end": event["at"],
-        "length": None,
-        "help": event["help"],
-    }
-    return about | {"count": 1, "bytes": None, "at": [event["at"]]} | more
+    at = event["at"]
+    about = {"what": what, "source": event["who"], "message": event["title"], "begin": at, "end": at, "at": [at]}
+    return event | about | {"length": None, "count": 1, "bytes": None} | more
 
 
 def fault_rows(messages: Messages, events: list[Record], end: float) -> list[Record]:

@@ -15,7 +15,6 @@ Python 3.7 or later without other packages; Linux, macOS and Windows.
 from __future__ import annotations
 
 import argparse
-import csv
 import hashlib
 import importlib
 import json
@@ -30,8 +29,7 @@ from pathlib import Path
 
 IS_ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
 OLDEST, NOT_AS_ROOT = (4, 0), (4, 4)  # Wireshark
-SAFE_PROFILES = (4, 6, 9)  # Wireshark that runs no code of a profile that is imported
-TABLES, SETTINGS = ("io_graphs", "plots", "dfilter_buttons"), ("preferences", "profile_settings", "extcap.cfg")
+WIRESHARKS = "recent"  # of a profile: Wireshark writes the positions of windows into it at every exit
 
 
 class Problem(Exception):  # noqa: N818
@@ -127,37 +125,8 @@ def wanted_files(source: Path, wireshark: Wireshark, program: str | None) -> dic
     return files
 
 
-def cell(text: str) -> str:
-    """Return what a cell of one of Wireshark's tables says, in one of the ways to write it."""
-    raw = re.sub(rb"\\x([0-9a-fA-F]{2})", lambda found: bytes([int(found[1], 16)]), text.encode())
-    text = raw.decode("utf-8", "replace")
-    if re.fullmatch(r"#[0-9A-Fa-f]{6}", text):
-        return text.lower()
-    is_number = re.fullmatch(r"-?\d+(\.\d+)?", text)
-    return repr(float(text)) if is_number else {"Enabled": "TRUE", "Disabled": "FALSE"}.get(text, text)
-
-
-def meaning(name: str, content: bytes) -> str:
-    """Return what a file of the profile says, however Wireshark writes it."""
-    text = content.decode("utf-8", "replace")
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if name in TABLES:  # a later version's further columns count where they are not at their default
-        rows = ("\t".join(map(cell, row)) for row in csv.reader(lines))
-        lines = [re.sub(r"(\t(FALSE)?)+$", "", row) for row in rows]
-    elif name in SETTINGS:  # Wireshark sets its font itself
-        pairs = (entry.partition(":") for entry in re.split(r"\n(?!\s)", "\n".join(lines)))
-        set_ones = ((key, " ".join(value.split())) for key, _, value in pairs if key != "gui.qt.font_name")
-        lines = sorted(f"{key}:{value}" for key, value in set_ones if value)
-    return "\n".join(lines)
-
-
-def is_wiresharks(path: Path) -> bool:
-    """Return whether Wireshark alone wrote this profile file: positions of windows, or settings that are all unset."""
-    return path.name == "recent" or (path.name == "extcap.cfg" and not meaning(path.name, path.read_bytes()))
-
-
 class Installation:
-    """What is installed. hashes: {path: fingerprint of this version's file}; folders: those that were made for it."""
+    """What is installed. hashes: {path: SHA-256 of this version's file}; folders: those that were made for it."""
 
     def __init__(self, wireshark: Wireshark) -> None:
         """Read the list that an installation leaves behind, where there is one."""
@@ -171,19 +140,11 @@ class Installation:
             raise Problem(f"{self.list} is damaged; remove it, then every file counts as changed") from problem
         self.known = set(self.hashes.values())
 
-    def fingerprint(self, path: Path, content: bytes) -> str:
-        """Return the hash of a file; of the profile's, which Wireshark rewrites, that of what it says."""
-        if path.parent == self.profile:
-            content = meaning(path.stem if path.suffix == ".new" else path.name, content).encode()
-        return hashlib.sha256(content).hexdigest()
-
     def is_edited(self, path: Path) -> bool:
-        """Return whether there is something that no installation left, nor Wireshark when it wrote that anew."""
+        """Return whether there is something that no installation left."""
         if path.is_symlink() or not path.is_file():
             return os.path.lexists(path)
-        content = path.read_bytes()
-        found = {hashlib.sha256(content).hexdigest(), self.fingerprint(path, content)}
-        return found.isdisjoint(self.known)
+        return digest(path.read_bytes()) not in self.known
 
     def write(self, path: Path, content: bytes) -> None:
         """Write a file of ours, whole or not at all."""
@@ -193,11 +154,11 @@ class Installation:
         new.write_bytes(content)
         new.chmod(0o755 if path.parent == self.wireshark.extcap else 0o644)
         os.replace(str(new), str(path))
-        self.hashes[path] = self.fingerprint(path, content)
+        self.hashes[path] = digest(content)
 
     def put(self, path: Path, content: bytes) -> None:
         """Bring one file up to date; an edited one stays, with the new one beside it."""
-        beside, now = path.with_name(path.name + ".new"), self.fingerprint(path, content)
+        beside, now = path.with_name(path.name + ".new"), digest(content)
         self.known.add(now)
         if not self.is_edited(path):
             self.write(path, content)
@@ -223,8 +184,7 @@ class Installation:
             if path.suffix != ".new" or path.with_suffix("") not in files:
                 self.remove(path)
         for path, content in files.items():
-            # Wireshark writes the positions of windows at every exit: ours is for the first time only.
-            if not (path.parent == self.profile and os.path.lexists(path) and is_wiresharks(path)):
+            if path.name != WIRESHARKS or not os.path.lexists(path):  # ours is for the first time only
                 self.put(path, content)
         self.remove_folders()
         made = [str(folder) for folder in self.folders if folder.is_dir()]
@@ -241,9 +201,8 @@ class Installation:
         places = self.places()
         for path in [*self.hashes]:
             self.remove(path)
-        # The list, and what Wireshark keeps in a profile that nothing else is in.
         left = list(self.profile.glob("*"))
-        for path in [self.list, *(left if all(map(is_wiresharks, left)) else ())]:
+        for path in [self.list, *(left if [path.name for path in left] == [WIRESHARKS] else ())]:
             if path.is_file():
                 path.unlink()
         for path in self.places() if purge else ():
@@ -263,6 +222,11 @@ class Installation:
         for folder in sorted({*inside, *self.folders}, key=lambda folder: -len(folder.parts)):
             if folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir()):
                 folder.rmdir()
+
+
+def digest(content: bytes) -> str:
+    """Return the hash of a file."""
+    return hashlib.sha256(content).hexdigest()
 
 
 def real(path: object) -> str:
@@ -294,8 +258,10 @@ def problems(source: Path, wireshark: Wireshark) -> Iterator[str]:
     elif plugin_version(entry) != plugin_version(source / "yapp.lua"):
         own = plugin_version(source / "yapp.lua")
         yield f"{entry} is version {plugin_version(entry)}, this is {own}: install it again, or take the .new one"
-    yield from sandboxes(tshark or "")
-    live_ports(wireshark)
+    if not (wireshark.extcap / "yapp_extcap.py").is_file():
+        say("note", f"no live ports in {wireshark.extcap}: install it again")
+    elif os.name != "nt" and not shutil.which("python3"):
+        say("note", "no python3 in PATH, so there are no live ports: they need Python 3.7 or later")
     if not tshark:
         print("tshark was not found, so whether Wireshark loads the plugin was not checked.")
         return
@@ -310,9 +276,6 @@ def problems(source: Path, wireshark: Wireshark) -> Iterator[str]:
 
 def loading_problems(wireshark: Wireshark, tshark: str, entry: Path) -> Iterator[str]:
     """Give the sentences on why Wireshark does not load what is installed."""
-    if wireshark.version < SAFE_PROFILES:
-        safe = ".".join(map(str, SAFE_PROFILES))
-        say("note", f"before {safe}, Wireshark can run code of a profile: import none that you do not trust, or update")
     protocols, errors = ask(tshark, "-G", "protocols")
     loaded = re.findall(r"^yapp\.lua\t.*\t(.*\S)", ask(tshark, "-G", "plugins")[0], re.MULTILINE)
     if loaded and real(loaded[0]) != real(entry):
@@ -324,32 +287,6 @@ def loading_problems(wireshark: Wireshark, tshark: str, entry: Path) -> Iterator
     else:
         said = [line for line in errors.splitlines() if "lua" in line.lower()]
         yield "\n  ".join([f"{wireshark.name} does not load {entry}", *said[:5]])
-
-
-def sandboxes(tshark: str) -> Iterator[str]:
-    """Name a Wireshark of Flatpak or Snap: a problem where there is no other one."""
-    flatpaks = [Path.home() / ".local/share/flatpak", Path("/var/lib/flatpak")]
-    found = [f"Flatpak ({each})" for each in flatpaks if (each / "app/org.wireshark.Wireshark").is_dir()]
-    programs = (tshark, shutil.which("wireshark") or "", "/snap/bin/wireshark")
-    found += [f"Snap ({path})" for path in programs if "/snap/" in path and os.path.exists(path)]
-    for which in found[:1]:
-        text = f"the Wireshark of {which} sees no plugin folder and cannot capture: use your distribution's package"
-        if tshark and "/snap/" not in tshark:
-            say("note", f"{text}, {tshark}, which is there too")
-        else:
-            yield text
-
-
-def live_ports(wireshark: Wireshark) -> None:
-    """Say which Python runs the live ports; they say themselves which modules they need."""
-    python = sys.executable if os.name == "nt" else shutil.which("python3")
-    if not (wireshark.extcap / "yapp_extcap.py").is_file():
-        say("note", f"no live ports in {wireshark.extcap}: install it again")
-    elif not python:
-        say("note", "no python3 in PATH, so there are no live ports: they need Python 3.7 or later")
-    else:
-        version = (ask(python, "-V")[0].split() or ["(it does not start)"])[-1]
-        say("python", f"{python} {version} runs the live ports")
 
 
 def run(what: str, purge: bool = False, program: str | None = None) -> int:
@@ -366,12 +303,8 @@ def run(what: str, purge: bool = False, program: str | None = None) -> int:
             if what == "install":
                 refuse_to_install(source, wireshark)
                 Installation(wireshark).install(wanted_files(source, wireshark, program))
-                for name, place in (
-                    ("plugin", wireshark.target),
-                    ("extcap", wireshark.extcap),
-                    ("profile", wireshark.profile),
-                ):
-                    say(name, place)
+                for name in ("target", "extcap", "profile"):
+                    say("plugin" if name == "target" else name, getattr(wireshark, name))
             found = list(problems(source, wireshark))
             if what == "install" and not found:
                 first = source / "docs/first.pcapng"

@@ -1,69 +1,28 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""A matrix, controller by value, in which the one that is far from the others is seen at once."""
+"""Controllers beside each other: a matrix of measures, in which the odd one is seen at once, and small multiples."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from .limits import Limits, minutes_left
-from .series import LATE, Array, Source
-from .tables import Column, Message
+from .series import DEGREES, LATE, Array, Samples, thin
 
 Record = dict[str, Any]
-DEGREES = ("°C", "C", "degC")
-DIGITS = {"°C": 0, "V": 2, "A": 2, "W": 0, "RPM": 0, "Wh": 1, "Ah": 3, "min": 1}  # behind the point
+DIGITS = {"°C": 0, "V": 2, "A": 2, "W": 0, "RPM": 0, "Wh": 1, "Ah": 3}  # behind the point
 SAG = 10  # seconds: a voltage is compared with its highest of so long before
 # How many times as far from the others' median as they usually are, for each shade.
 SHADES = (4.0, 8.0, 16.0)
 # The least distance that counts as usual: a share of the median, and an amount.
 USUAL = 0.02
-LEAST = {"°C": 1.0, "": 0.1, "min": 1.0, "V": 0.05, "A": 0.1, "W": 1.0, "RPM": 1.0}
-
-
-@dataclass
-class Part:
-    """One message of a flight. found: its sources; whose: their numbers on the page; values: those of each field.
-
-    flying, calm: of each source, which samples are of the flight, and which of these can be compared.
-    """
-
-    message: Message
-    found: list[Source]
-    whose: list[int]
-    values: dict[str, list[Array]]
-    flying: list[Array] = field(default_factory=list)
-    calm: list[Array] = field(default_factory=list)
-
-    def fields(self, *units: str) -> list[Column]:
-        """Return the values that have one of these units and were measured."""
-        known = (self.message.columns[name] for name in self.values)
-        return [
-            one for one in known if one.role == "value" and one.unit in units and not one.name.endswith("commanded")
-        ]
-
-    def silent(self) -> list[int]:
-        """Return the numbers of the sources that fell silent while another one went on."""
-        last = max(source.times[-1] for source in self.found)
-        both = zip(self.found, self.whose, strict=True)
-        return [who for source, who in both if last - source.times[-1] > LATE * source.every]
-
-    def supply(self) -> tuple[Column, Column] | None:
-        """Return voltage and current of the supply: of all in V and A, the two whose names begin alike."""
-        pairs = [(volts, amperes) for volts in self.fields("V") for amperes in self.fields("A")]
-        return next((pair for pair in pairs if len({one.name.partition("_")[0] for one in pair}) == 1), None)
-
-    def speed(self) -> tuple[Column, Column] | None:
-        """Return what follows a command, and the command; of several the last: a speed stands behind a torque."""
-        names = [name for name in self.values if name.replace("_measured", "_commanded") in self.values]
-        names = [name for name in names if name.endswith("_measured")]
-        pairs = [(self.message.columns[name], name.replace("_measured", "_commanded")) for name in names]
-        return next(((one, self.message.columns[command]) for one, command in reversed(pairs)), None)
+LEAST = {"°C": 1.0, "": 0.1, "V": 0.05, "A": 0.1, "W": 1.0, "RPM": 1.0}
+COLUMNS, SAMPLES = 7, 300  # of the small multiples
+WIDTH, HEIGHT = 600, 100  # of a picture, in its own units
+Found = Sequence[Samples]  # one message of all sources
 
 
 @dataclass
@@ -77,26 +36,26 @@ class Measure:
 
 
 class Matrix:
-    """Measures of all controllers, from the parts of a page."""
+    """Measures of all controllers."""
 
-    def __init__(self, parts: Sequence[Part], sources: Sequence[Record], limits: Limits) -> None:
+    def __init__(self, messages: Sequence[Found], sources: Sequence[Record]) -> None:
         """sources: of the page, each with its controller."""
-        self.parts, self.sources, self.limits = parts, sources, limits
+        self.sources, self.messages = sources, messages
         self.measures: dict[tuple[str, str], Measure] = {}
         # A message that is sent to all controllers of a bus, such as a command, is none of one.
-        leads = [part for part in parts if part.speed() or part.supply()] or list(parts[:1])
-        self.silent = {sources[who]["controller"] for part in leads for who in part.silent()}
+        leads = [found for found in messages if found[0].speed() or found[0].supply()] or list(messages[:1])
+        self.silent = {
+            sources[one.number]["controller"]
+            for found in leads
+            for one in found
+            if max(other.times[-1] for other in found) - one.times[-1] > LATE * one.every
+        }
         self.labels: dict[int, str] = {}
-        for source in (sources[who] for part in leads for who in part.whose):
+        for source in (sources[one.number] for found in leads for one in found):
             self.labels.setdefault(source["controller"], source["label"])
 
-    def measure(self) -> None:
-        """Measure what the values tell."""
-        for part in self.parts:
-            self._add(part)
-
     def count(self, title: str, rows: Sequence[Record]) -> None:
-        """Count events, {source: number on the page}, of each controller."""
+        """Count events, {number: of the source on the page}, of each controller."""
         measure = self.measures.setdefault((title, ""), Measure(title, ""))
         measure.cells = dict.fromkeys(self.labels, 0.0)
         for row in rows:
@@ -104,47 +63,33 @@ class Matrix:
             if who in measure.cells:
                 measure.cells[who] += row.get("count", 1)
 
-    def _add(self, part: Part) -> None:
-        for column in part.fields(*DEGREES):
-            self._each(part, column, "max", "°C", _largest)
-            highs = [self.limits.of(source.name, part.message.name, column.name)[1] for source in part.found]
-            by_name = dict(zip((source.name for source in part.found), highs, strict=True))
-            self._each(part, column, "minutes left", "min", partial(_left, by_name))
-        if pair := part.supply():
-            volts, amperes = pair
-            self._each(part, amperes, "mean", "A", _mean)
-            self._each(part, amperes, "peak", "A", _largest)
-            powers = [u * i for u, i in zip(part.values[volts.name], part.values[amperes.name], strict=True)]
-            self._each(part, amperes, "power peak", "W", _largest, powers)
-            self._each(part, amperes, "energy", "Wh", _integral, powers)
-            self._each(part, amperes, "charge", "Ah", _integral)
-            self._each(part, volts, "sag", "V", _sag)
-        if pair := part.speed():
-            measured, command = pair
-            both = zip(part.values[measured.name], part.values[command.name], strict=True)
-            errors = [np.abs(own - told) for own, told in both]
-            self._each(part, measured, "error mean", measured.unit, _mean, errors)
+    def measure(self) -> None:
+        """Measure what the values tell. Means are of the flight."""
+        for one in (one for found in self.messages for one in found):
+            for name in one.measured(*DEGREES):
+                self._add(one, name, "max", "°C", one.columns[name], np.nanmax)
+            if pair := one.supply():
+                volts, amperes = (one.columns[name] for name in pair)
+                watts, hours = volts * amperes, _hours(one)
+                self._add(one, pair[1], "mean", "A", np.where(one.flying, amperes, np.nan), np.nanmean)
+                self._add(one, pair[1], "peak", "A", amperes, np.nanmax)
+                self._add(one, pair[1], "power peak", "W", watts, np.nanmax)
+                self._add(one, pair[1], "energy", "Wh", _between(watts) * hours, np.nansum)
+                self._add(one, pair[1], "charge", "Ah", _between(amperes) * hours, np.nansum)
+                self._add(one, pair[0], "sag", "V", _sags(one, volts), np.nanmax)
+            if pair := one.speed():
+                error = np.abs(one.columns[pair[0]] - one.columns[pair[1]])
+                self._add(
+                    one, pair[0], "error mean", one.unit_of(pair[0]), np.where(one.flying, error, np.nan), np.nanmean
+                )
 
-    def _each(
-        self,
-        part: Part,
-        column: Column,
-        what: str,
-        unit: str,
-        measure: Callable[[Source, Array], float | None],
-        values: list[Array] | None = None,
-    ) -> None:
-        """Measure a value of each source; none where it never had one."""
-        values = part.values[column.name] if values is None else values
-        if what in ("mean", "error mean", "minutes left"):  # of the flight
-            values = [np.where(use, own, np.nan) for use, own in zip(part.flying, values, strict=True)]
-        for source, who, own in zip(part.found, part.whose, values, strict=True):
-            controller = self.sources[who]["controller"]
-            value = measure(source, own) if np.isfinite(own).any() and controller in self.labels else None
-            if value is not None:
-                title = f"{column.title} {what}" if unit not in ("Ah", "Wh", "W") else what.capitalize()
-                made = Measure(title, unit, f"{part.message.name}.{column.name}")
-                self.measures.setdefault((title, unit), made).cells[controller] = float(value)
+    def _add(self, one: Samples, name: str, what: str, unit: str, values: Array, measure: Any) -> None:
+        """Measure a value of a source; nothing where it never had one."""
+        controller = self.sources[one.number]["controller"]
+        if np.isfinite(values).any() and controller in self.labels:
+            title = f"{one.title_of(name)} {what}" if unit not in ("Ah", "Wh", "W") else what.capitalize()
+            made = Measure(title, unit, f"{one.message}.{name}")
+            self.measures.setdefault((title, unit), made).cells[controller] = float(measure(values))
 
     def html(self) -> str:
         """Return it as a table; a click on a row shows the lines of this controller only."""
@@ -155,10 +100,14 @@ class Matrix:
         lines = [f"<thead><tr><th>controller</th>{heads}</tr></thead>"]
         for who, label in self.labels.items():
             # The mean of a part of the flight is no measure of the controller.
-            cells = "".join(_cell(one, who, who in self.silent and one.title.endswith("mean")) for one in measures)
-            lead = f"<th><button type=button class=row data-controller={who}>{html.escape(label)}</button></th>"
-            lines.append(f"<tr data-controller={who}>{lead}{cells}</tr>")
+            cells = [_cell(one, who, who in self.silent and one.title.endswith("mean")) for one in measures]
+            lines.append(_line(who, label, cells))
         return "".join(lines)
+
+
+def _line(who: int, label: str, cells: Sequence[str]) -> str:
+    lead = f"<th><button type=button class=row data-controller={who}>{html.escape(label)}</button></th>"
+    return f"<tr data-controller={who}>{lead}{''.join(cells)}</tr>"
 
 
 def _cell(measure: Measure, who: int, is_plain: bool = False) -> str:
@@ -170,9 +119,8 @@ def _cell(measure: Measure, who: int, is_plain: bool = False) -> str:
     text, shade, title = f"{value:.{DIGITS.get(measure.unit, 0)}f}", 0, ""
     if len(others) > 1 and not is_plain:
         middle = float(np.median(others))
-        usual = max(
-            1.5 * float(np.median(np.abs(others - middle))), USUAL * abs(middle), LEAST.get(measure.unit, 0.001)
-        )
+        apart, least = 1.5 * float(np.median(np.abs(others - middle))), LEAST.get(measure.unit, 0.001)
+        usual = max(apart, USUAL * abs(middle), least)
         # Where several are alike, on one bus for example, none of them is the odd one.
         beside = sum(abs(others - value) < abs(value - middle) / 2)
         shade = sum(abs(value - middle) / usual >= step for step in SHADES) if beside <= (len(others) > 5) else 0
@@ -182,29 +130,91 @@ def _cell(measure: Measure, who: int, is_plain: bool = False) -> str:
     return f"<td{about} data-figure='{html.escape(measure.figure)}' title='{html.escape(title)}'>{text}</td>"
 
 
-def _largest(_: Source, values: Array) -> float:
-    return float(np.nanmax(values))
+def _between(values: Array) -> Array:
+    return (values[1:] + values[:-1]) / 2
 
 
-def _mean(_: Source, values: Array) -> float:
-    return float(np.nanmean(values))
+def _hours(one: Samples) -> Array:
+    """Return the time between two messages in hours; nothing counts where nothing came."""
+    return np.where(np.diff(one.times) > LATE * one.every, 0.0, np.diff(one.times)) / 3600
 
 
-def _left(limits: dict[str, float], source: Source, values: Array) -> float | None:
-    return minutes_left(source, values, limits[source.name])
+def _sags(one: Samples, values: Array) -> Array:
+    """Return how far each value lies below the highest of the last seconds."""
+    size = max(1, round(SAG / one.every))
+    padded = np.concatenate([np.full(size - 1, -np.inf), np.where(np.isfinite(values), values, -np.inf)])
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, size).max(axis=1) - values)
 
 
-def _integral(source: Source, values: Array) -> float:
-    """Return the value over the time in hours; nothing counts where nothing came."""
-    steps = np.diff(source.times)
-    steps[steps > LATE * source.every] = 0
-    return float(np.nansum((values[1:] + values[:-1]) / 2 * steps) / 3600)
+# ---- small multiples, drawn without a script: a row a controller, a column a value, one y axis a column
 
 
-def _sag(source: Source, values: Array) -> float:
-    """Return the largest step down from the highest value of the last seconds."""
-    size = max(1, round(SAG / source.every))
-    filled = np.where(np.isfinite(values), values, -np.inf)
-    padded = np.concatenate([np.full(size - 1, -np.inf), filled])
-    highest = np.lib.stride_tricks.sliding_window_view(padded, size).max(axis=1)
-    return float(np.nanmax(highest - values))
+def multiples(
+    messages: Sequence[Found],
+    matrix: Matrix,
+    length: float,
+    faults: Mapping[int, Sequence[tuple[float, float]]],
+    named: set[str],
+) -> str:
+    """Return the table. length: of the flight, in seconds; faults: {controller: [(begin, end)]}, drawn as bands;
+    named: the fields that findings name."""
+    heads: list[str] = []
+    rows: dict[int, dict[int, str]] = {}
+    for found in messages:
+        lead = found[0]
+        shown = [*(lead.speed() or ())[:1], *reversed(lead.supply() or ()), *lead.measured(*DEGREES)]
+        shown += [name for name in lead.names("value") if name in named]
+        for name in list(dict.fromkeys(shown))[:COLUMNS]:
+            pair = lead.speed()
+            drawn = [pair[1], name] if pair and name == pair[0] else [name]
+            values = np.concatenate([one.columns[each] for one in found for each in drawn])
+            if np.isfinite(values).any() and np.nanmin(values) < np.nanmax(values):
+                ends = float(np.nanmin(values)), float(np.nanmax(values))
+                heads.append(
+                    f"<b>{html.escape(lead.title_of(name))}</b> <span class=pale>{_span(lead, name, ends)}</span>"
+                )
+                for one in found:
+                    source = matrix.sources[one.number]
+                    bands = faults.get(source["controller"], ())
+                    picture = _picture(one, source, drawn, ends, bands, WIDTH / max(length, 0.001))
+                    rows.setdefault(source["controller"], {})[len(heads)] = picture
+    lines = [f"<thead><tr><th></th>{''.join(f'<th>{head}</th>' for head in heads)}</tr></thead>"] if heads else []
+    for who, label in matrix.labels.items():
+        if who in rows:
+            lines.append(_line(who, label, [f"<td>{rows[who].get(at + 1, '')}</td>" for at in range(len(heads))]))
+    return "".join(lines)
+
+
+def _span(one: Samples, name: str, ends: tuple[float, float]) -> str:
+    digits = DIGITS.get(one.unit_of(name), 2)
+    return html.escape(f"{ends[0]:.{digits}f} to {ends[1]:.{digits}f} {one.unit_of(name)}".strip())
+
+
+def _picture(
+    one: Samples,
+    source: Record,
+    names: Sequence[str],
+    ends: tuple[float, float],
+    bands: Sequence[tuple[float, float]],
+    scale: float,
+) -> str:
+    """One picture: what was commanded, pale and wide, what was measured, and bands where there was a fault."""
+    times, lines = thin(one, [one.columns[name] for name in names], SAMPLES)
+    shapes = "".join(
+        f"<rect class=band x='{begin * scale:.0f}' width='{max((end - begin) * scale, 4):.0f}' height='{HEIGHT}'/>"
+        for begin, end in bands
+    )
+    for kind, values in zip(("told", "own")[-len(lines) :], lines, strict=True):
+        y = HEIGHT - 3 - (values - ends[0]) / (ends[1] - ends[0]) * (HEIGHT - 6)
+        is_first = np.isnan(np.concatenate([[np.nan], y[:-1]]))  # a line has a gap where there is no value
+        words = (f"{'M' if first else 'L'}{across:.0f} {down:.0f}"
+                 for across, down, first in zip(times * scale, y, is_first, strict=True) if down == down)  # fmt: skip
+        shapes += f"<path class={kind} d='{''.join(words)}'/>"
+    own = one.columns[names[-1]]
+    is_there = np.isfinite(own).any()
+    said = _span(one, names[-1], (float(np.nanmin(own)), float(np.nanmax(own)))) if is_there else "no value"
+    label = html.escape(f"{source['label']}, {one.title_of(names[-1])}") + f": {said}"
+    return (
+        f"<svg viewBox='0 0 {WIDTH} {HEIGHT}' preserveAspectRatio=none role=img aria-label='{label}' "
+        f"data-colour={source['colour']}><title>{label}</title>{shapes}</svg>"
+    )

@@ -32,17 +32,14 @@ def write_mcap(tables: Sequence[Table], target: Target) -> None:
 
 
 def _write(writer: Any, table: Table, start: int) -> None:
-    names = [name for name in table.schema.names if name not in LEFT_OUT or table.name == "flights"]
+    names = [name for name in table.rows.schema.names if name not in LEFT_OUT or table.name == "flights"]
     schema = writer.register_schema(table.name, "jsonschema", json.dumps(_schema(table, names)).encode())
-    channels: dict[str, int] = {}
     for source, rows in by_source(table):
-        topic = "/".join(("", table.name, *source))
-        if topic not in channels:
-            about = {"controller": source[0]} if len(source) == 1 and source[0] else {}
-            channels[topic] = writer.register_channel(topic, "json", schema, about)
+        about = {"controller": source[0]} if len(source) == 1 and source[0] else {}
+        channel = writer.register_channel("/".join(("", table.name, *source)), "json", schema, about)
         for time, row in zip(times_of(rows, start).to_pylist(), _plain(rows.select(names)).to_pylist(), strict=True):
             there = {name: value for name, value in row.items() if value is not None}
-            writer.add_message(channels[topic], time, json.dumps(there, ensure_ascii=False).encode(), time)
+            writer.add_message(channel, time, json.dumps(there, ensure_ascii=False).encode(), time)
             if table.name == "flights":
                 writer.add_metadata("flight", {name: str(value) for name, value in there.items()})
 
@@ -60,7 +57,9 @@ def _plain(rows: pa.Table) -> pa.Table:
 def _schema(table: Table, names: Sequence[str]) -> dict[str, Any]:
     """A JSON schema as Foxglove reads it: an enum is a `oneOf` of constants with titles."""
     known = {column.name: column for column in table.columns}
-    properties = {name: _property(known.get(name) or Column(name, table.schema.field(name).type, "")) for name in names}
+    properties = {
+        name: _property(known.get(name) or Column(name, table.rows.schema.field(name).type, "")) for name in names
+    }
     about = {"title": table.message.name, "description": table.message.title}
     return about | {"type": "object", "properties": properties}
 

@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 from asammdf import MDF, Signal
 
 from .sources import begin, by_source, times_of
-from .tables import DURATION, TIME, Column, Rows, Table
+from .tables import DURATION, TIME, Column, Table
 from .writers import Target
 
 # As the plugin numbers the reserved counts in `<field>.special`.
@@ -30,61 +30,44 @@ def write_mf4(tables: Sequence[Table], target: Target) -> None:
         mdf.header.start_time = datetime.fromtimestamp(start, UTC)
         mdf.header.comment = f"flight {target.flight_id}, yapp-tables {version('yapp-tables')}"
         for table in tables:
-            _Groups(mdf, table, start).write()
+            _append(mdf, table, start)
         mdf.save(target.folder / f"{target.name}.mf4", compression=2, overwrite=True)
 
 
-class _Groups:
-    """The channel groups of one message, one for each source."""
+def _append(mdf: Any, table: Table, start: int) -> None:
+    """Add the channel groups of one message, one for each source."""
+    names, message = ("frame", "id", "seq") if table.is_message else (), table.message
+    columns = [Column(name, table.rows.schema.field(name).type, "value") for name in names] + table.columns
+    # An enum's text: the number's conversion says the same.
+    columns = [one for one in columns if one.type != TIME
+               and not (one.name.endswith("_text") and one.name.removesuffix("_text") in message.columns)]  # fmt: skip
+    for source, rows in by_source(table):
+        if len(rows):
+            since = pc.subtract(times_of(rows, start * NANOSECONDS), start * NANOSECONDS)
+            name, times = " ".join((message.name, *source)), since.to_numpy() / NANOSECONDS
+            groups = name, " ".join(source)
+            signals = [_signal(column, rows[column.name].combine_chunks(), times, groups) for column in columns]
+            mdf.append(signals, acq_name=name, comment=message.title, common_timebase=True)
 
-    def __init__(self, mdf: Any, rows: Table, start: int) -> None:
-        self.mdf, self.rows, self.start = mdf, rows, start
-        self.groups: dict[tuple[str, ...], int] = {}
-        names = ("frame", "id", "seq") if isinstance(rows, Rows) else ()
-        columns = [Column(name, rows.schema.field(name).type, "value") for name in names] + rows.columns
-        self.columns = [column for column in columns if column.type != TIME and not self._is_meaning(column)]
 
-    def write(self) -> None:
-        """Add all rows."""
-        for source, rows in by_source(self.rows):
-            if not len(rows):
-                continue
-            since = pc.subtract(times_of(rows, self.start * NANOSECONDS), self.start * NANOSECONDS)
-            times = since.to_numpy() / NANOSECONDS
-            samples = [(column, *_samples(rows[column.name].combine_chunks(), column)) for column in self.columns]
-            if source in self.groups:
-                self.mdf.extend(
-                    self.groups[source], [(times, None), *((array, absent) for _, array, absent in samples)]
-                )
-            else:
-                name = " ".join((self.rows.message.name, *source))
-                groups = name, " ".join(source)
-                signals = [self._signal(column, array, absent, times, groups) for column, array, absent in samples]
-                self.groups[source] = self.mdf.append(
-                    signals, acq_name=name, comment=self.rows.message.title, common_timebase=True
-                )
-
-    def _is_meaning(self, column: Column) -> bool:
-        """An enum's text: the number's conversion says the same."""
-        return column.name.endswith("_text") and column.name.removesuffix("_text") in self.rows.message.columns
-
-    def _signal(self, column: Column, samples: Any, absent: Any, times: Any, groups: tuple[str, ...]) -> Any:
-        """A channel.  Its name is that of others too: it is found as `left.rpm_measured`, `motor left.rpm_measured`."""
-        values = dict(enumerate(SPECIAL)) if _is_special(column) else column.values
-        conversion: dict[str, Any] = {}
-        for number, (value, text) in enumerate(values.items()):
-            conversion |= {f"val_{number}": value, f"text_{number}": text.encode()}
-        return Signal(
-            samples,
-            times,
-            name=column.name,
-            unit="s" if column.type == DURATION else column.unit,
-            comment=column.title,
-            conversion=conversion or None,
-            invalidation_bits=absent,
-            display_names={escape(f"{group}.{column.name}"): "display" for group in groups},
-            encoding="utf-8" if samples.dtype.kind == "S" else None,
-        )
+def _signal(column: Column, cells: pa.Array, times: Any, groups: tuple[str, ...]) -> Any:
+    """A channel.  Its name is that of others too: it is found as `left.rpm_measured`, `motor left.rpm_measured`."""
+    samples, absent = _samples(cells, column)
+    values = dict(enumerate(SPECIAL)) if _is_special(column) else column.values
+    conversion: dict[str, Any] = {}
+    for number, (value, text) in enumerate(values.items()):
+        conversion |= {f"val_{number}": value, f"text_{number}": text.encode()}
+    return Signal(
+        samples,
+        times,
+        name=column.name,
+        unit="s" if column.type == DURATION else column.unit,
+        comment=column.title,
+        conversion=conversion or None,
+        invalidation_bits=absent,
+        display_names={escape(f"{group}.{column.name}"): "display" for group in groups},
+        encoding="utf-8" if samples.dtype.kind == "S" else None,
+    )
 
 
 def _is_special(column: Column) -> bool:

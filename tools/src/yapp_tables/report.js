@@ -207,7 +207,7 @@
   }
   const overTime = () => ({ range: seen, ...ticks(), showspikes: true, spikemode: "across", spikethickness: 1, spikedash: "solid" });
 
-  // Lines over time, marks where a value is reserved, limits as bands.
+  // Lines over time, limits as bands.
   function lines(about, isRough) {
     const room = Math.max(100, Math.min(width(), POINTS / about.lines.length)) / (isRough ? FEWER : 1);
     const drawn = about.lines.map((line) => [line, ...thin(samples(line).times, line.values, seen, room)]);
@@ -227,14 +227,9 @@
     drawn.sort(([p], [q]) => isTold(q) - isTold(p) || isPale(q.source) - isPale(p.source));
     const traces = drawn.map(([line, x, y]) => [line.source, line.name, isTold(line), x, y]).map(([source, name, dash, x, y]) => ({ type: "scatter", mode: "lines",
       name: `${name}, ${data.names[source]}`, x, y, visible: !isHidden(source), connectgaps: false,
-      opacity: data.sources[source].flight ? 0.55 : isPale(source) && !dash ? PALE : 1,
+      opacity: isPale(source) && !dash ? PALE : 1,
       line: { color: dash ? styled({ colour: "command" }, "backgroundColor") : colour(source), dash: dash ? DASHES[source % DASHES.length] : "solid", width: dash ? 1 : 1.5 },
       hovertemplate: `%{y:.5~g} ${about.unit}<extra>${data.sources[source].label}${dash && !data.sources[source].is_command ? ", commanded" : ""}</extra>` }));
-    for (const { source, name, x, what } of about.marks) {
-      traces.push({ type: "scatter", mode: "markers", name: `${name}, ${data.names[source]}`, x, y: x.map(() => span[0] + space), text: what,
-        visible: !isHidden(source), marker: { symbol: "x-thin-open", size: 9, color: colour(source), line: { width: 2, color: colour(source) } },
-        hovertemplate: `%{text}<extra>${data.sources[source].label}</extra>` });
-    }
     return [traces, layout(HEIGHT, overTime(), { range: span, fixedrange: true, nticks: 6 },
       { hovermode: "x unified", shapes: [...faulty(), ...bands(about.limits, span)], annotations: limitTexts(about, span) })];
   }
@@ -252,22 +247,22 @@
     return [traces, layout(CLOUD, { title: { text: about.across } }, { nticks: 8 }, { hovermode: "closest", margin: { l: 46, r: 12, t: BAR, b: 44 } })];
   }
 
-  // Lanes: a heading, and a row for each source: when a flag was set, what a state was, when something happened.
+  // Lanes: a heading, and a row for each source: when a fault was set, when something happened.
   function lanes(all) {
     const pixel = (seen[1] - seen[0]) / width(), bars = new Map(), titles = [];
     let y = 0;
-    for (const { title, message, kind, rows } of all) {
+    for (const { title, message, rows } of all) {
       titles.push({ text: `<b>${title}</b> ${message}`, xref: "paper", x: 0, xanchor: "left", y, yanchor: "middle", showarrow: false, bgcolor: getComputedStyle(document.body).backgroundColor });
-      for (const { source, begins, ends, texts } of rows) {
+      for (const { source, begins, ends } of rows) {
         y++;
         const bar = bars.get(source) ?? { base: [], x: [], y: [], text: [], customdata: [] };
         bars.set(source, bar);
         let last = -Infinity;
         for (let i = 0; i < begins.length; i++) {
-          const begin = begins[i], end = ends[i], said = texts[i] ?? data.names[source];
+          const begin = begins[i], end = ends[i], said = data.names[source];
           if (end < seen[0] || begin > seen[1] || end < last + pixel) continue;
           last = end;
-          const visible = Math.min(seen[1], end) - Math.max(seen[0], begin), isWide = (kind === "fault" || kind === "event") && i === begins.length - 1;
+          const visible = Math.min(seen[1], end) - Math.max(seen[0], begin), isWide = i === begins.length - 1;
           bar.base.push(begin);
           bar.x.push(Math.max(end - begin, (LEAST + 1) * pixel)); // nothing is too short to be seen
           bar.y.push(y);
@@ -387,15 +382,12 @@
 
   function build() {
     const box = byId("pictures"), height = (all) => all.reduce((sum, { rows }) => sum + (rows.length + 1) * ROW, AXIS + BAR);
-    const first = ({ kind }) => kind === "fault" || kind === "event";
-    const wrong = data.lanes.filter(first), states = data.lanes.filter((each) => !first(each));
     const head = ({ title, unit, message, limits }) => {
       const said = (limits ?? []).map((limit, at) => limit === null ? "" : `${at ? "at most" : "at least"} ${brief(limit)} ${unit}`).filter(Boolean);
       return [make("b", { textContent: `${title}${unit ? `, ${unit}` : ""}` }), pale(message), ...said.length ? [pale(`limit: ${said.join(", ")}`)] : []];
     };
-    if (wrong.length) picture(box, [make("b", { className: "bad", textContent: "Faults and events" })], height(wrong), "wrong", true, () => lanes(wrong));
+    if (data.lanes.length) picture(box, [make("b", { className: "bad", textContent: "Faults and events" })], height(data.lanes), "wrong", true, () => lanes(data.lanes));
     for (const about of data.figures) picture(box, head(about), HEIGHT, about.key, true, (isRough) => lines(about, isRough));
-    if (states.length) picture(box, [make("b", { textContent: "States and flags" })], height(states), "states", true, () => lanes(states));
     for (const about of data.clouds) {
       const odd = about.odd.join("; ");
       picture(byId("clouds"), [...head(about), ...odd ? [make("b", { className: "bad", textContent: `odd: ${odd}` })] : []], CLOUD, about.title, false, () => cloud(about));

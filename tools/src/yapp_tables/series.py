@@ -1,43 +1,135 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Numbers for pictures: samples thinned so that extremes and gaps stay, and spans in which something held."""
+"""Messages of controllers as arrays, over one flight or several; thinned so that extremes and gaps stay."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from .sources import split
+from .sources import natural, split
 
-# A gap is longer than this many periods, as for the plugin's yapp.late.
-LATE = 2.5
+LATE = 2.5  # a gap is longer than this many periods, as for the plugin's yapp.late
+DEGREES = ("°C", "C", "degC")
+APART = 1e6  # seconds between the times of two flights
+ROLES = ("value", "flag", "flags", "enum", "clock")
 Array = np.ndarray[Any, Any]
 
 
 @dataclass
-class Source:
-    """The rows of one message of one source. times: seconds since the report's start; every: its period in seconds."""
+class Samples:
+    """A message of a source. columns: {name: (n) values}; times: (n) seconds, flights APART; frames: (n).
+
+    name: the user's name for the source, or its bus and ID; controller: the same, or the name of the controller that a
+    source without a name belongs to; about: {name: the metadata of its column, with title, unit, role}; ids: (bus, ID),
+    each that sent it; texts: {name: the meanings of an enum that came}; number: of the source on a page; flying, calm:
+    (n) which samples are of the flight, and which of these can be compared.
+    """
 
     name: str
-    rows: pa.Table
-    times: Array
+    controller: str
+    message: str
+    title: str
     every: float
+    about: Mapping[str, Mapping[str, str]]
+    times: Array
+    frames: Array
+    columns: dict[str, Array]
+    ids: set[tuple[str | None, int]]
+    texts: dict[str, set[str]] = field(default_factory=dict)
+    number: int = -1
+    flying: Array = field(default_factory=lambda: np.zeros(0, bool))
+    calm: Array = field(default_factory=lambda: np.zeros(0, bool))
+
+    def names(self, role: str, *units: str) -> list[str]:
+        """Return the columns of a role, and of these units."""
+        return [name for name, about in self.about.items()
+                if about.get("role") == role and (not units or self.unit_of(name) in units)]  # fmt: skip
+
+    def measured(self, *units: str) -> list[str]:
+        """Return the values of these units that are no commands."""
+        return [name for name in self.names("value", *units) if not name.endswith("_commanded")]
+
+    def title_of(self, name: str) -> str:
+        """Return the title of a column."""
+        return self.about[name].get("title", name)
+
+    def unit_of(self, name: str) -> str:
+        """Return the unit of a column."""
+        return self.about[name].get("unit", "")
+
+    def supply(self) -> tuple[str, str] | None:
+        """Return voltage and current of the supply: in V and A, whose names begin alike."""
+        pairs = [(volts, amperes) for volts in self.names("value", "V") for amperes in self.names("value", "A")]
+        return next((pair for pair in pairs if len({name.partition("_")[0] for name in pair}) == 1), None)
+
+    def speed(self) -> tuple[str, str] | None:
+        """Return what was measured and commanded; of several pairs the last: a speed stands behind a torque."""
+        pairs = [(name, name.replace("_measured", "_commanded")) for name in self.names("value")]
+        return next((pair for pair in reversed(pairs) if pair[0] != pair[1] and pair[1] in self.columns), None)
 
     def gaps(self) -> Array:
-        """The indices of the last samples before a gap."""
-        return np.flatnonzero(np.diff(self.times) > LATE * self.every)
+        """Return the time before each message; NaN before the first of a flight."""
+        gaps = np.diff(self.times, prepend=self.times[:1] - APART)
+        return np.where(gaps > APART / 2, np.nan, gaps)
 
 
-def sources(table: pa.Table, every: float | None, start: int) -> Iterator[Source]:
-    """A message's rows by source: the user's name for it, or its bus and ID.  start: nanoseconds since 1970."""
-    for name, own in split(table):
-        rows = own.sort_by("time")
-        times = (rows["time"].cast(pa.int64()).to_numpy() - start) / 1e9
-        period = every or (float(np.median(np.diff(times))) if len(times) > 1 else 1.0)
-        yield Source(name, rows, times, period)
+def samples(tables: Mapping[str, pa.Table], number: int = 0, start: int = 0) -> dict[tuple[str, str], Samples]:
+    """Return the messages of each source of a flight, by (controller, message).
+
+    tables: {message: rows}; number: of the flight, which moves its times; start: nanoseconds since 1970.
+    """
+    found: list[Samples] = []
+    for message, table in tables.items():
+        about = {each.name: _texts(each.metadata) for each in table.schema}
+        said = _texts(table.schema.metadata)
+        names = [name for name, known in about.items() if known.get("role") in ROLES]
+        # A message without a clock of the controller, such as a command, may be for all of a bus: it is its own.
+        is_own = any(known.get("role") == "clock" for known in about.values())
+        title = said.get("title", message)
+        for name, rows in split(table):
+            rows = rows.sort_by("time")
+            times = (rows["time"].cast(pa.int64()).to_numpy() - start) / 1e9
+            every = float(said.get("every") or 0) or (float(np.median(np.diff(times))) if len(times) > 1 else 1.0)
+            columns = {each: numbers(rows[each]) for each in names}
+            texts = {each: set(rows[f"{each}_text"].unique().to_pylist()) - {None} for each in names
+                     if f"{each}_text" in rows.schema.names}  # fmt: skip
+            ids = {(rows["bus"][0].as_py(), rows["id"][0].as_py())}
+            whose, times = name if is_own else f"{name} {title}", times + number * APART
+            found.append(Samples(
+                name, whose, message, title, every, about, times, rows["frame"].to_numpy(), columns, ids, texts
+            ))  # fmt: skip
+    leads = {(bus, number & 0xF): one for one in reversed(found) if one.speed() for bus, number in one.ids}
+    for one in found:
+        bus, number = next(iter(one.ids))
+        lead = leads.get((bus, number & 0xF))
+        if lead and one.names("clock") and one.controller == f"{bus or ''} 0x{number:03x}".strip():
+            one.controller = lead.controller
+    return {(one.controller, one.message): one for one in sorted(found, key=lambda one: natural(one.controller))}
+
+
+def _texts(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
+    return {key.decode(): text.decode() for key, text in (metadata or {}).items()}
+
+
+def joined(flights: Sequence[Mapping[tuple[str, str], Samples]]) -> dict[tuple[str, str], Samples]:
+    """Return the messages of several flights, one behind the other."""
+    whole: dict[tuple[str, str], Samples] = {}
+    for flight in flights:
+        for key, own in flight.items():
+            if key in whole:
+                one = whole[key]
+                one.times = np.concatenate([one.times, own.times])
+                one.frames = np.concatenate([one.frames, own.frames])
+                one.columns = {name: np.concatenate([one.columns[name], own.columns[name]]) for name in own.columns}
+                one.ids |= own.ids
+                one.texts = {name: one.texts[name] | own.texts[name] for name in own.texts}
+            else:
+                whole[key] = own
+    return whole
 
 
 def numbers(column: pa.ChunkedArray) -> Array:
@@ -48,50 +140,32 @@ def numbers(column: pa.ChunkedArray) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def thin(source: Source, columns: list[Array], most: int) -> tuple[Array, list[Array]]:
+def thin(one: Samples, columns: list[Array], most: int) -> tuple[Array, list[Array]]:
     """At most about `most` samples, of several columns with the same times: of each stretch, its smallest and largest.
 
     Where the source was silent a sample without a value is put in, so that no line is drawn over the gap.
     """
-    times, gaps = source.times, source.gaps()
+    times = one.times
+    gaps = np.flatnonzero(one.gaps() > LATE * one.every)  # the indices of the first samples behind a gap
+    at = gaps
     if len(times) > most:
         size = -(-2 * len(times) // most)
-        starts = np.unique(np.concatenate([np.arange(0, len(times), size), gaps + 1]))
+        starts = np.unique(np.concatenate([np.arange(0, len(times), size), gaps]))
         columns = [_extremes(column, starts) for column in columns]
         ends = np.append(starts[1:], len(times)) - 1
-        at = np.searchsorted(starts, gaps, side="right") * 2
-        thinned = np.stack([times[starts], times[ends]], axis=1).ravel()
-    else:
-        thinned, at = times, gaps + 1
-    return np.insert(thinned, at, times[gaps] + source.every), [np.insert(column, at, np.nan) for column in columns]
-
-
-def with_gaps(source: Source, columns: list[Array]) -> tuple[Array, list[Array]]:
-    """Return times and values with a sample without a value in each gap, so that no line is drawn over it."""
-    return thin(source, columns, len(source.times) + 1)
+        at = np.searchsorted(starts, gaps) * 2
+        times = np.stack([times[starts], times[ends]], axis=1).ravel()
+    thinned = np.insert(times, at, one.times[gaps - 1] + one.every)
+    return thinned, [np.insert(column, at, np.nan) for column in columns]
 
 
 def _extremes(values: Array, starts: Array) -> Array:
     """Two values for each stretch: the one of smallest and largest that comes first, then the other."""
-    low = np.fmin.reduceat(values, starts)
-    high = np.fmax.reduceat(values, starts)
+    low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
     stretch = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(values))))
     places = np.arange(len(values))
-    first_low = np.minimum.reduceat(np.where(values == low[stretch], places, len(values)), starts)
-    first_high = np.minimum.reduceat(np.where(values == high[stretch], places, len(values)), starts)
+    first_low, first_high = (
+        np.minimum.reduceat(np.where(values == end[stretch], places, len(values)), starts) for end in (low, high)
+    )
     falls = first_high < first_low
     return np.stack([np.where(falls, high, low), np.where(falls, low, high)], axis=1).ravel()
-
-
-def spans(source: Source, values: Array, most: int) -> list[tuple[float, float, Any]]:
-    """(begin, end, value) of each stretch of equal values, cut at gaps; above `most` the shortest are left out."""
-    changes = np.flatnonzero(values[1:] != values[:-1]) + 1
-    after_gap = source.gaps() + 1
-    starts = np.unique(np.concatenate([[0], changes, after_gap]))
-    ends = np.append(source.times[starts[1:]], source.times[-1] + source.every)
-    cut = np.isin(np.append(starts[1:], -1), after_gap)
-    last = np.append(starts[1:], len(values)) - 1
-    ends = np.where(cut, source.times[last] + source.every, ends)
-    begins = source.times[starts]
-    kept = np.sort(np.argsort(begins - ends, kind="stable")[:most])
-    return [(float(begins[i]), float(ends[i]), values[starts[i]]) for i in kept]

@@ -10,7 +10,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from .tables import Rows, Table, plain
+from .tables import Table, plain
 
 
 def split(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
@@ -46,19 +46,18 @@ def natural(name: str) -> list[str | int]:
 
 
 def by_source(table: Table) -> Iterator[tuple[tuple[str, ...], pa.Table]]:
-    """Return the rows of one source, batch by batch, and its name, of which bus and ID are two words.
+    """Return the rows of each source, and its name, of which bus and ID are two words.
 
     Events, faults, the summary and the flight stay together, and are called nothing.
     """
-    for rows in (pa.Table.from_batches([batch]) for batch in table):
-        for name, own in split(rows) if isinstance(table, Rows) else [("", plain(rows))]:
-            is_named = isinstance(table, Rows) and own["source"][0].is_valid
-            yield (name,) if is_named else tuple(name.split()), own.combine_chunks()
+    for name, own in split(table.rows) if table.is_message else [("", plain(table.rows))]:
+        is_named = table.is_message and own["source"][0].is_valid
+        yield (name,) if is_named else tuple(name.split()), own.combine_chunks()
 
 
 def begin(tables: Sequence[Table]) -> int:
     """Return the time of the first message, in nanoseconds since 1970."""
-    return min(table.first_time() for table in tables if isinstance(table, Rows))
+    return int(min(table.rows["time"][0].value for table in tables if table.is_message))
 
 
 def times_of(rows: pa.Table, start: int) -> pa.ChunkedArray:

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from .follow import command_of
-from .matrix import DEGREES
-from .runs import Samples
-from .series import Array
+from .series import DEGREES, Array, Samples
 
 Record = dict[str, Any]
 LEAST_STEP, HOLD, NEAR = 0.05, 0.5, 0.2  # share of the command's range; seconds; share of the step
@@ -186,8 +184,8 @@ def point_columns(found: Mapping[tuple[str, str], Samples], bench: Sequence[str]
     for one in leads(found):
         means, slopes = measured_names(one)
         for name in means:
-            columns[name] = name, "number", f"its mean: {one.about[name].get('title', name)}", one.about[name]["unit"]
+            columns[name] = name, "number", f"its mean: {one.about[name].get('title', name)}", one.unit_of(name)
         for name in slopes:
-            unit, title = one.about[name]["unit"], one.about[name].get("title", name)
+            unit, title = one.unit_of(name), one.title_of(name)
             columns[f"{name}_slope"] = f"{name}_slope", "number", f"how fast it rose: {title}", f"{unit}/min"
     return [*columns.values(), *((name, "number", "its mean, of the bench's log", "") for name in bench)]

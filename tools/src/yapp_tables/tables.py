@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Types: what fields.json and the plugin's CSV say, as Arrow schemas and streams of typed record batches."""
+"""Types: what fields.json and the plugin's CSV say, as Arrow schemas and tables."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,11 @@ import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
 
 from .errors import SetupError
-from .tshark import Export, Record, Tshark, left_out
+from .tshark import Export, Record
 
 # The version of a data set, `schema` in the metadata of each table: raised when a column gets another name, type or
 # meaning.
-SCHEMA = 5
+SCHEMA = 6
 TIME = pa.timestamp("ns", tz="UTC")
 DURATION = pa.duration("ns")
 # A text of few kinds.  All tables have the same type for the same column: they are joined by it.
@@ -46,8 +46,6 @@ ROLES = {
     "string": (pa.string(), "text"),
 }
 CRC_GOOD = "crc_good"
-# Arrow reads up to 32 blocks ahead.
-BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -88,24 +86,18 @@ class Message:
 
 def messages(fields: Record) -> dict[str, Message]:
     """The catalogue in fields.json, by message name."""
-    columns = {name: _columns(name, entry) for name, entry in fields["messages"].items()}
-    found = {}
-    for name, entry in fields["messages"].items():
-        own = {column.name: column for column in columns[name]}
-        found[name] = Message(name, entry["title"] or name, entry.get("every"), own)
-    return found
-
-
-def digests(fields: Record) -> dict[str, str]:
-    """Return a short name of each message's description."""
-    texts = {name: json.dumps(entry, sort_keys=True) for name, entry in fields["messages"].items()}
-    return {name: hashlib.sha256(text.encode()).hexdigest()[:16] for name, text in texts.items()}
+    return {
+        name: Message(
+            name, entry["title"] or name, entry.get("every"), {one.name: one for one in _columns(name, entry)}
+        )
+        for name, entry in fields["messages"].items()
+    }
 
 
 def catalogue_version(fields: Record) -> str:
     """Return the messages of the catalogue, and a short name of what it says of all of them."""
-    whole = hashlib.sha256(json.dumps(digests(fields), sort_keys=True).encode()).hexdigest()[:8]
-    return f"{', '.join(fields['messages'])} ({whole})"
+    text = json.dumps(fields["messages"], sort_keys=True)
+    return f"{', '.join(fields['messages'])} ({hashlib.sha256(text.encode()).hexdigest()[:8]})"
 
 
 def _columns(message: str, entry: Record) -> list[Column]:
@@ -141,106 +133,69 @@ def _integer(entry: Record) -> pa.DataType:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where tables come from. flight_id: of the capture's content; aircraft: its name in the fleet file."""
+    """Where tables come from. flight_id: of the capture's content; options: with which it was decoded."""
 
     flight_id: str
     capture: Path
-    aircraft: str | None = None
-    tshark: Tshark = field(default_factory=Tshark)
+    options: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
 class Table:
-    """Rows to write. columns: what is known of them; count: how many rows came of the latest iteration."""
+    """A table to write. columns: what is known of them; is_message: whether its rows are of sources."""
 
-    def __init__(self, message: Message, schema: pa.Schema, columns: list[Column]) -> None:
-        """Keep the description."""
-        about = (schema.metadata or {}) | {b"schema": str(SCHEMA).encode()}
-        self.message, self.schema, self.columns = message, schema.with_metadata(about), columns
-        self.name, self.count = message.name, 0
+    message: Message
+    rows: pa.Table
+    columns: list[Column]
+    is_message: bool = True
 
-    def __iter__(self) -> Iterator[pa.RecordBatch]:
-        """Read the rows once more from their beginning."""
-        raise NotImplementedError
-
-
-class Rows(Table):
-    """The rows of one message in an export: their schema, and typed record batches, a few megabytes at a time.
-
-    ends: (frame, nanoseconds) of the first and the last row that were read.
-    """
-
-    def __init__(self, export: Export, message: Message, origin: Origin, wanted: Sequence[str] | None = None) -> None:
-        """wanted: the columns to read besides the time, None for all."""
-        self.origin, self.export = origin, export
-        self.ends: list[tuple[int, int]] = []
-        self._path = export.csv(message.name)
-        with self._path.open(encoding="utf-8", newline="") as file:
-            self._header = next(csv.reader(file), [])
-        strange = set(self._header) - message.columns.keys() - HEAD.keys() - {CRC_GOOD}
-        if strange or "time" not in self._header:
-            raise SetupError(
-                f"{self._path.name} has columns that the plugin's fields.json does not tell: {strange or 'none'}"
-            )
-        head_names = [name for name in HEAD if wanted is None or name in wanted or name == "time"]
-        columns = [column for name, column in message.columns.items() if wanted is None or name in wanted]
-        about = {"message": message.name, "title": message.title, "every": str(message.every or "")}
-        head = [pa.field(name, HEAD[name]) for name in head_names]
-        schema = pa.schema(head + [column.arrow() for column in columns], metadata=about)
-        super().__init__(message, schema, columns)
-
-    def __iter__(self) -> Iterator[pa.RecordBatch]:
-        """Read the file once more from its beginning."""
-        self.count, self.ends = 0, []
-        for batch in self._read():
-            if batch.num_rows:
-                given = dict(zip(batch.schema.names, batch.columns, strict=True))
-                given["time"] = _nanoseconds(given["time"]).cast(TIME)
-                last = batch.num_rows - 1
-                times = given["time"].cast(pa.int64())
-                ends = [(given["frame"][at].as_py(), times[at].as_py()) for at in (0, last)]
-                self.ends = [*self.ends[:1], ends[-1]] if self.ends else ends
-                yield self._typed(given, batch.num_rows)
-                self.count += batch.num_rows
-
-    def first_time(self) -> int:
-        """The first row's time in nanoseconds since 1970."""
-        first: pa.RecordBatch = next(iter(self))
-        return int(first.column("time")[0].value)
-
-    def _read(self) -> Iterator[pa.RecordBatch]:
-        wanted = {*self.schema.names, "time", "frame"}
-        for column in self.columns:
-            wanted |= set(column.difference or ())
-        if "controller" in wanted:
-            wanted.add("source")
-        types = {column.name: column.type for column in self.message.columns.values()} | HEAD
-        types = {name: pa.string() if type_ in (TIME, DURATION) else type_ for name, type_ in types.items()}
-        return read_csv(self._path, [name for name in self._header if name in wanted], types)
-
-    def _typed(self, given: dict[str, pa.Array], count: int) -> pa.RecordBatch:
-        given["source_file"] = repeated(self.origin.capture.name, count)
-        given["flight_id"] = repeated(self.origin.flight_id, count)
-        given["controller"] = given.get("source")
-        for column in self.columns:
-            if column.difference:
-                # Nine digits: 0.3, not 0.30000000000000004, for 0.8 less 0.5.
-                of, less = (given[name].cast(pa.float64()) for name in column.difference)
-                given[column.name] = pc.round(pc.subtract(of, less), 9)
-            elif column.type == DURATION and column.name in given:
-                given[column.name] = _nanoseconds(given[column.name]).cast(DURATION)
-        columns = [
-            pa.nulls(count, field.type) if given.get(field.name) is None else given[field.name] for field in self.schema
-        ]
-        return pa.RecordBatch.from_arrays(columns, schema=self.schema)
+    @property
+    def name(self) -> str:
+        """The name of the message."""
+        return self.message.name
 
 
-def read_csv(path: Path, names: Sequence[str], types: Mapping[str, pa.DataType]) -> Iterator[pa.RecordBatch]:
-    """Read these columns of a table of the plugin, a block at a time. An empty cell is null."""
+def read_rows(export: Export, message: Message, origin: Origin, wanted: Sequence[str] | None = None) -> Table:
+    """Return the rows of one message in an export. wanted: the columns besides the time, None for all."""
+    path = export.csv(message.name)
+    with path.open(encoding="utf-8", newline="") as file:
+        header = next(csv.reader(file), [])
+    strange = set(header) - message.columns.keys() - HEAD.keys() - {CRC_GOOD}
+    if strange or "time" not in header:
+        raise SetupError(f"{path.name} has columns that the plugin's fields.json does not tell: {strange or 'none'}")
+    columns = [column for name, column in message.columns.items() if wanted is None or name in wanted]
+    about = {"message": message.name, "title": message.title, "every": str(message.every or ""), "schema": str(SCHEMA)}
+    head = [pa.field(name, HEAD[name]) for name in HEAD if wanted is None or name in (*wanted, "time")]
+    schema = pa.schema(head + [column.arrow() for column in columns], metadata=about)
+    needed = {*schema.names, "time", *(name for column in columns for name in column.difference or ())}
+    needed |= {"source"} & {"source" for name in schema.names if name == "controller"}
+    found = _read_csv(path, [name for name in header if name in needed], message)
+    given = dict(zip(found.schema.names, found.columns, strict=True))
+    given |= {"time": _nanoseconds(given["time"]).cast(TIME), "controller": given.get("source")}
+    given |= {"source_file": repeated(origin.capture.name, len(found))}
+    given |= {"flight_id": repeated(origin.flight_id, len(found))}
+    for column in columns:
+        if column.difference:
+            # Nine digits: 0.3, not 0.30000000000000004, for 0.8 less 0.5.
+            of, less = (given[name].cast(pa.float64()) for name in column.difference)
+            given[column.name] = pc.round(pc.subtract(of, less), 9)
+        elif column.type == DURATION and column.name in given:
+            given[column.name] = _nanoseconds(given[column.name]).cast(DURATION)
+    cells = [
+        pa.nulls(len(found), field.type) if given.get(field.name) is None else given[field.name] for field in schema
+    ]
+    return Table(message, pa.table(cells, schema=schema).unify_dictionaries(), columns)
+
+
+def _read_csv(path: Path, names: Sequence[str], message: Message) -> pa.Table:
+    """Read these columns of a table of the plugin. An empty cell is null."""
+    types = {column.name: column.type for column in message.columns.values()} | HEAD
+    types = {name: pa.string() if type_ in (TIME, DURATION) else type_ for name, type_ in types.items()}
     has_text = any(types[name] == pa.string() and name != "time" for name in names)
-    reader: Iterator[pa.RecordBatch] = arrow_csv.open_csv(
+    return arrow_csv.read_csv(
         path,
         # One thread: a fleet has a capture for every core.
-        read_options=arrow_csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES),
+        read_options=arrow_csv.ReadOptions(use_threads=False),
         parse_options=arrow_csv.ParseOptions(newlines_in_values=has_text),
         convert_options=arrow_csv.ConvertOptions(
             column_types={name: types[name] for name in names},
@@ -250,10 +205,9 @@ def read_csv(path: Path, names: Sequence[str], types: Mapping[str, pa.DataType])
             quoted_strings_can_be_null=False,
         ),
     )
-    return reader
 
 
-def _nanoseconds(seconds: pa.Array | pa.ChunkedArray) -> Any:
+def _nanoseconds(seconds: pa.ChunkedArray) -> Any:
     """Seconds as text with nine digits are nanoseconds once the point is gone."""
     return pc.replace_substring(seconds, ".", "").cast(pa.int64())
 
@@ -266,7 +220,7 @@ def present(export: Export) -> list[Message]:
 def nothing_in(capture: Path, export: Export, filter_: str | None = None) -> str:
     """Return why a capture gives no table."""
     narrowed = f" that {filter_} lets through" if filter_ else ""
-    why = "; ".join(left_out(export.partial, export.undecoded, export.complaints))
+    why = "; ".join(export.left_out)
     return f"{capture}: no YAPP messages in it{narrowed}{': ' * bool(why)}{why}"
 
 

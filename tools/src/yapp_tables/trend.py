@@ -7,7 +7,7 @@ import html
 import json
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,12 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from tqdm import tqdm
 
-from . import plain_page
+from . import pages
 from .errors import SetupError, count_of
 from .follow import SHAPES, Following
 from .intervals import lowest, slope
-from .matrix import DEGREES
-from .runs import Load, Samples, samples
-from .series import Array
+from .load import Load
+from .series import DEGREES, Array, Samples, samples
 from .tables import SCHEMA
 
 LEAST_FLIGHTS, LEAST_SECONDS = 5, 20.0
@@ -33,7 +32,7 @@ CHANCE = 0.02  # that one of all slopes is called a drift by chance
 LEAST = {"A": 0.02, "°C": 2.0, "%": 3.0, "lag": 0.02, "sag": 0.02, "lost": 0.002}
 LAGS = np.arange(-0.2, 0.8, 0.02)
 EVERY = 1.0  # seconds: means of so long are compared
-TERMS = 10
+Key = tuple[str, str, str, str]  # controller, title, unit, key of LEAST
 
 
 @dataclass
@@ -68,13 +67,13 @@ class Drift:
 
 @dataclass
 class _Flight:
-    """What one flight tells. name, start: of the flight; rows: {(controller, field): (values, terms)} at full seconds;
-    single: {(controller, title, unit, least): value}."""
+    """What one flight tells. name, start: of the flight; rows: {(controller, title, least): (values, terms)} at full
+    seconds; single: {(controller, title, unit, least): value}; least: a key of LEAST."""
 
     name: str
     start: int
-    rows: dict[tuple[str, str, str], tuple[Array, Array]]
-    single: dict[tuple[str, str, str, str], float]
+    rows: dict[tuple[str, str, str], tuple[Array, Array]] = field(default_factory=dict)
+    single: dict[Key, float] = field(default_factory=dict)
 
 
 def drifts(data: Path) -> tuple[list[Drift], list[str]]:
@@ -83,7 +82,7 @@ def drifts(data: Path) -> tuple[list[Drift], list[str]]:
     And sentences on what is not told. Raises SetupError.
     """
     flights = sorted(_flights(data), key=lambda flight: flight.start)
-    values: dict[tuple[str, str, str, str], list[tuple[str, float]]] = defaultdict(list)
+    values: dict[Key, list[tuple[str, float]]] = defaultdict(list)
     for key in dict.fromkeys(key for flight in flights for key in flight.rows):
         those = [flight for flight in flights if key in flight.rows]
         for flight, value in zip(those, _beyond([flight.rows[key] for flight in those]), strict=True):
@@ -103,7 +102,7 @@ def drifts(data: Path) -> tuple[list[Drift], list[str]]:
     return sorted(found, key=lambda one: (not one.is_sure, one.controller, one.title)), notes
 
 
-def _drift(key: tuple[str, str, str, str], rows: Sequence[tuple[str, float]], chance: float) -> Drift:
+def _drift(key: Key, rows: Sequence[tuple[str, float]], chance: float) -> Drift:
     who, title, unit, least = key
     values = np.array([value for _, value in rows])
     numbers = np.arange(len(values), dtype=float)
@@ -113,7 +112,7 @@ def _drift(key: tuple[str, str, str, str], rows: Sequence[tuple[str, float]], ch
     return Drift(who, title, unit, [name for name, _ in rows], values, each, low, high, is_sure)
 
 
-def _less_others(values: dict[tuple[str, str, str, str], list[tuple[str, float]]]) -> None:
+def _less_others(values: dict[Key, list[tuple[str, float]]]) -> None:
     """Take from temperatures and currents what the other controllers have in the same flight: the weather.
 
     The current that all have in common is a value of its own; a temperature in common is the weather's.
@@ -151,55 +150,45 @@ def _flights(data: Path) -> Iterator[_Flight]:
     """Read one flight after the other."""
     folders = {path.name.removeprefix("message="): path for path in sorted(data.glob("message=*")) if path.is_dir()}
     if "flights" not in folders:
-        raise SetupError(
-            f"{data} is no data set of Parquet files: yapp-tables convert CAPTURES --to parquet --out {data}"
-        )
-    tables = {name: ds.dataset(path, format="parquet", partitioning="hive") for name, path in folders.items()}
-    about = _schema(folders["flights"])
-    version = (about.metadata or {}).get(b"schema", b"").decode()
+        again = f"yapp-tables convert CAPTURES --to parquet --out {data}"
+        raise SetupError(f"{data} is no data set of Parquet files: {again}")
+    # As the first file has it: metadata, and columns that each flight has.
+    tables = {name: ds.dataset(path, pq.read_schema(next(path.rglob("*.parquet")))) for name, path in folders.items()}
+    version = (tables["flights"].schema.metadata or {}).get(b"schema", b"").decode()
     if version != str(SCHEMA):
         raise SetupError(f"{data} has version {version} of the tables, not {SCHEMA}: convert the captures again")
     rows = tables["flights"].to_table(columns=["flight_id", "source_file", "start"])
     starts = pc.fill_null(rows["start"].cast(pa.int64()), 0).to_pylist()
     flights = zip(rows["flight_id"].to_pylist(), rows["source_file"].to_pylist(), starts, strict=True)
-    messages = {name: _schema(path) for name, path in folders.items()}
-    messages = {name: schema for name, schema in messages.items() if b"every" in (schema.metadata or {})}
+    messages = [name for name, table in tables.items() if b"every" in (table.schema.metadata or {})]
     for flight, name, start in tqdm(list(flights), unit="flight", disable=None):
-        own = {}
-        for message, schema in messages.items():
-            names = [each for each in schema.names if each in tables[message].schema.names]
-            found = tables[message].to_table(columns=names, filter=pc.field("flight_id") == flight)
-            if len(found):
-                own[message] = found.cast(schema) if found.schema.names == schema.names else found
-        lost = tables["summary"].to_table(filter=pc.field("flight_id") == flight).to_pylist()
-        if told := _told(samples(own, start=start), lost, name, start):
+        is_its = pc.field("flight_id") == flight
+        own = {message: tables[message].to_table(filter=is_its) for message in messages}
+        summary = tables["summary"].to_table(filter=is_its).to_pylist()
+        found = samples({message: table for message, table in own.items() if len(table)}, start=start)
+        if told := _told(found, summary, name, start):
             yield told
-
-
-def _schema(folder: Path) -> pa.Schema:
-    return pq.read_schema(next(folder.rglob("*.parquet")))
 
 
 def _told(
     found: dict[tuple[str, str], Samples], summary: list[dict[str, Any]], name: str, start: int
 ) -> _Flight | None:
-    flight = _Flight(name, start, {}, {})
-    loads = {}
+    flight, loads = _Flight(name, start), {}
     for one in found.values():
-        load = Load.of(one) if one.speed() else None
-        if load is not None and one.times[-1] - one.times[0] >= LEAST_SECONDS:
+        load = Load.of(one)
+        if load and np.ptp(one.times) >= LEAST_SECONDS:
             loads[one.controller] = load
             _singles(flight, found, one)
     for one in found.values():
         if one.controller in loads:
             _rows(flight, one, loads[one.controller])
+    whose = {ids: one for one in found.values() for ids in one.ids}
     for row in summary:
-        bad = sum(row.get(key) or 0 for key in ("crc_bad", "incomplete"))
-        lost = max(row.get("missing") or 0, bad)
-        who = next((one.controller for one in found.values() if (row["bus"], row["id"]) in one.ids), None)
-        title = next((one.title for one in found.values() if (row["bus"], row["id"]) in one.ids), "")
-        if who in loads:
-            flight.single[str(who), f"lost share of {title}", "", "lost"] = lost / max(row["count"] + lost, 1)
+        lost = max(row.get("missing") or 0, sum(row.get(key) or 0 for key in ("crc_bad", "incomplete")))
+        sender = whose.get((row["bus"], row["id"]))
+        if sender and sender.controller in loads:
+            share = lost / max(row["count"] + lost, 1)
+            flight.single[sender.controller, f"lost share of {sender.title}", "", "lost"] = share
     return flight if loads else None
 
 
@@ -211,7 +200,7 @@ def _rows(flight: _Flight, one: Samples, load: Load) -> None:
     for name in one.names("value", "A", "%", *DEGREES):
         if name in (speed or ()) or name.endswith("_commanded") or (supply and name == supply[0]):
             continue
-        unit = one.about[name]["unit"]
+        unit = one.unit_of(name)
         values, least = one.columns[name], "°C" if unit in DEGREES else unit
         good = np.isfinite(values) & np.isfinite(at.speed) & np.isfinite(at.volts) & (at.speed > 0.2 * top)
         if good.sum() * one.every < LEAST_SECONDS / 2:
@@ -231,7 +220,7 @@ def _rows(flight: _Flight, one: Samples, load: Load) -> None:
         _, second = np.unique(np.floor(one.times[good] / EVERY), return_inverse=True)
         count = np.bincount(second)
         means = [np.bincount(second, column) / count for column in (values[good], *columns)]
-        flight.rows[one.controller, one.about[name].get("title", name), least] = means[0], np.stack(means[1:], axis=1)
+        flight.rows[one.controller, one.title_of(name), least] = means[0], np.stack(means[1:], axis=1)
 
 
 def _singles(flight: _Flight, found: dict[tuple[str, str], Samples], one: Samples) -> None:
@@ -239,7 +228,7 @@ def _singles(flight: _Flight, found: dict[tuple[str, str], Samples], one: Sample
     supply = one.supply()
     if supply:
         volts, amperes = (one.columns[name] for name in supply)
-        both = np.diff(volts), np.diff(amperes)
+        both = np.diff(volts, prepend=np.nan), np.diff(amperes, prepend=np.nan)
         good = np.isfinite(both[0]) & np.isfinite(both[1]) & (one.gaps() < 3 * one.every)
         if good.sum() > 50 and float((both[1][good] ** 2).sum()) > 0:
             sag = -float((both[0][good] * both[1][good]).sum() / (both[1][good] ** 2).sum())
@@ -267,26 +256,19 @@ def json_lines(found: Sequence[Drift]) -> Iterator[str]:
 
 def page(found: Sequence[Drift], notes: Sequence[str]) -> str:
     """Return a page with one small picture a value, a row a controller."""
-    parts = [
-        plain_page.listed(
-            [("worse" if one.is_sure else "", one.sentence()) for one in found if one.is_sure]
-            or [("", "nothing drifts")]
-        )
-    ]
-    parts.append(plain_page.listed([("pale", note) for note in notes]))
+    sure = [("worse", one.sentence()) for one in found if one.is_sure]
     titles = list(dict.fromkeys(one.title for one in found))
-    heads = "".join(f"<th>{html.escape(title)}</th>" for title in titles)
-    rows = []
-    for who in dict.fromkeys(sorted(one.controller for one in found)):
-        own = {one.title: one for one in found if one.controller == who}
-        cells = "".join(f"<td>{_picture(own[title]) if title in own else ''}</td>" for title in titles)
+    rows = [f"<tr><th>controller</th>{''.join(f'<th>{html.escape(title)}</th>' for title in titles)}</tr>"]
+    for who in sorted({one.controller for one in found}):
+        own = {one.title: _picture(one) for one in found if one.controller == who}
+        cells = "".join(f"<td>{own.get(title, '')}</td>" for title in titles)
         rows.append(f"<tr><th>{html.escape(who)}</th>{cells}</tr>")
-    parts.append(f"<table><thead><tr><th>controller</th>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table>")
-    return plain_page.page("Trend over flights", parts)
+    lists = [pages.listed(sure or [("", "nothing drifts")]), pages.listed([("pale", note) for note in notes])]
+    return pages.page("Trend over flights", [*lists, f"<table>{''.join(rows)}</table>"])
 
 
 def _picture(one: Drift) -> str:
     middle = (len(one.values) - 1) / 2
     centre = float(np.median(one.values - one.per_flight * (np.arange(len(one.values)) - middle)))
     ends = centre - one.per_flight * middle, centre + one.per_flight * middle
-    return plain_page.dots([float(value) for value in one.values], ends, one.sentence(), one.is_sure)
+    return pages.dots([float(value) for value in one.values], ends, one.sentence(), one.is_sure)

@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
@@ -26,7 +26,6 @@ EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e30000
 # Memory in few large pieces: tshark takes 3 to 5 % less time with glibc 2.35. Other systems ignore it.
 LARGE_PIECES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1", "MALLOC_TOP_PAD_": str(64 << 20)}
 PLUGIN_SAYS = "yapp: "
-UNDECODED = re.compile(r"^[\d,]+ (messages?|YAPP headers?) .*?(was|were) (not decoded|decoded in part)")
 # Nothing is missing then: the second message is left out.
 COPIES = re.compile(r"^\d+ messages? (was|were) recorded twice")
 STATISTICS = ("events", "summary")
@@ -43,17 +42,16 @@ Record = dict[str, Any]
 class Export:
     """What one run left behind: `<message>.csv` and `fields.json` in folder, and the lines of the other statistics.
 
-    partial: tshark's reason where the capture is damaged; undecoded: a sentence on the messages that were not decoded;
-    complaints: what the plugin leaves out for another reason: a preference that it cannot read, unreliable events;
-    notes: what else it says, of copies; said: what this package says, of a bench.
+    partial: tshark's reason where the capture is damaged; lacks: sentences on what the plugin leaves out: messages that
+    were not decoded, unreliable events, a preference that it cannot read; notes: what else it says, of copies;
+    said: what this package says, of a bench.
     """
 
     folder: Path
     fields: Record
     records: dict[str, list[Record]] = field(default_factory=dict)
     partial: str | None = None
-    complaints: tuple[str, ...] = ()
-    undecoded: str = ""
+    lacks: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     said: list[str] = field(default_factory=list)
 
@@ -61,49 +59,51 @@ class Export:
         """Where the rows of a message are, whether or not there are any."""
         return self.folder / f"{message}.csv"
 
+    @property
+    def left_out(self) -> list[str]:
+        """Return sentences on all that it lacks; empty where it is complete."""
+        return [*([f"read in part: {self.partial}"] if self.partial else []), *self.lacks]
+
 
 @dataclass(frozen=True)
 class Tshark:
     """How tshark is called: everything that all captures of one command have in common.
 
-    program: a path or a name in PATH, None for the usual places; plugin: yapp.lua where it is not installed;
-    options: preferences, each NAME:VALUE as after tshark's -o; filter: a display filter, None for all messages;
-    profile: a profile of Wireshark's; catalogue: a file with the user's messages.
+    tshark: a path or a name in PATH, None for the usual places; plugin: yapp.lua where it is not installed;
+    options: preferences, ["yapp.motor_ids:0x210,0x211"]; filter: a display filter, only these messages are taken;
+    profile: a profile of Wireshark's.
     """
 
-    program: str | None = None
-    plugin: str | None = None
-    options: tuple[str, ...] = ()
+    tshark: str | os.PathLike[str] | None = None
+    plugin: str | os.PathLike[str] | None = None
+    options: Sequence[str] = ()
     filter: str | None = None
     profile: str | None = None
-    catalogue: str | None = None
 
-    def export(self, capture: Path, folder: Path) -> Export:
-        """Write a capture's messages to folder, which is made; one that is there already has them.
+    def export(self, capture: Path, folder: Path, more: Sequence[str] = ()) -> Export:
+        """Write a capture's messages to folder, which is made. more: statistics besides.
 
         Returns an Export. Raises SetupError, CaptureError, OSError on a full disk; YappError where another try may do.
         """
         check_file(capture)
-        csv, said = folder / "csv", folder / "said.json"
+        folder.mkdir(parents=True)
         # Relative to tshark's own folder: a comma in a path would end the option.
-        wanted = ["csv,csv", *(f"{name},json" for name in STATISTICS)]
-        if said.is_file():
-            done = subprocess.CompletedProcess(**json.loads(said.read_text(encoding="utf-8")))
-        else:
-            folder.mkdir(parents=True)
-            done = _run(self._command(capture, wanted), folder, self._environment())
-            said.write_text(json.dumps(vars(done)), encoding="utf-8")
+        wanted = ["csv,csv", *(f"{name},json" for name in STATISTICS), *more]
+        done = _run(self._command(capture, wanted), folder)
         if os.strerror(errno.ENOSPC) in done.stderr:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
-        partial = self._refusal(capture, done, written=(csv / "fields.json").is_file())
-        fields: Record = json.loads((csv / "fields.json").read_text(encoding="utf-8"))
+        described = folder / "csv/fields.json"
+        partial = self._refusal(capture, done, written=described.is_file())
+        fields: Record = json.loads(described.read_text(encoding="utf-8"))
         if "plugin" not in fields:
             raise SetupError(f"the plugin is too old, its fields.json does not name its version: {INSTALL_PLUGIN}")
-        complaints = () if partial else _complaints(done)
-        records = _records(done.stdout)
-        lost = "; ".join(dict.fromkeys(line for line in _said(done) if UNDECODED.search(line)))
-        notes = tuple(dict.fromkeys(line for line in _said(done) if COPIES.search(line)))
-        return Export(csv, fields, records, partial, complaints, lost, notes)
+        lacks, notes = _said(done)
+        if done.returncode == UNDECIDED and not lacks:
+            lacks = (UNRELIABLE,)
+        records: dict[str, list[Record]] = {name: [] for name in (*STATISTICS, "check")}
+        for record in _json_lines(done.stdout):
+            records["check" if "rule" in record else "events" if "kind" in record else "summary"].append(record)
+        return Export(described.parent, fields, records, partial, lacks, notes)
 
     def ask(self, capture: Path, folder: str, statistics: Sequence[str]) -> tuple[list[Record], list[str]]:
         """Return the JSON lines of statistics, and what the plugin says they leave out. tshark runs in folder.
@@ -111,30 +111,21 @@ class Tshark:
         Raises as export does, and CaptureError where only a part of the capture can be read.
         """
         check_file(capture)
-        done = _run(self._command(capture, statistics), Path(folder), self._environment())
-        if done.returncode == BROKEN:  # instead of tshark's own code: what it says of the file tells
-            why = _complaint("\n".join(line for line in done.stderr.splitlines() if f'"{capture.resolve()}"' in line))
-        else:
-            why = self._refusal(capture, done, written=True) or ""
-        if why:
+        done = _run(self._command(capture, statistics), Path(folder))
+        if why := self._refusal(capture, done, written=True):
             raise CaptureError(f"{capture}: {why}")
-        said = dict.fromkeys(line for line in _said(done) if not COPIES.search(line))
-        return list(_json_lines(done.stdout)), list(said)
+        return list(_json_lines(done.stdout)), list(_said(done)[0])
 
-    def fields(self) -> tuple[Record, tuple[str, ...]]:
-        """fields.json of this plugin with these options, and complaints as in Export.
-
-        Asked with an empty capture, it proves tshark and plugin.
-        """
+    def fields(self) -> Record:
+        """Return fields.json of this plugin with these options. Asked with an empty capture: it proves both."""
         with scratch() as folder:
             empty = Path(folder, "empty.pcap")
             empty.write_bytes(EMPTY_PCAP)
             try:
-                export = self.export(empty, Path(folder, "export"))
+                return self.export(empty, Path(folder, "export")).fields
             except CaptureError as error:
                 # Nothing is wrong with this capture: it is the plugin that refuses, a filter for example.
                 raise SetupError(str(error).removeprefix(f"{empty}: ")) from error
-            return export.fields, export.complaints
 
     def begin(self, capture: Path) -> int | None:
         """The time of a capture's first packet, whatever it is, in nanoseconds since 1970; None where none is told."""
@@ -150,14 +141,7 @@ class Tshark:
 
     def run(self, capture: Path, options: Sequence[str]) -> str:
         """Return what tshark prints of a capture with these options."""
-        command, environment = [*self._reading(capture), *options], self._environment()
-        return subprocess.run(
-            command, capture_output=True, encoding="utf-8", errors="replace", check=False, env=environment
-        ).stdout
-
-    def _environment(self) -> dict[str, str]:
-        own = {"YAPP_MESSAGES": os.path.abspath(self.catalogue)} if self.catalogue else {}
-        return LARGE_PIECES | os.environ | own
+        return _run([*self._reading(capture), *options]).stdout
 
     def _reading(self, capture: Path) -> list[str]:
         command = [self.find(), "-r", str(capture.resolve())]
@@ -178,9 +162,9 @@ class Tshark:
 
     def find(self) -> str:
         """Return the path of the program. Raises SetupError."""
-        found = shutil.which(self.program) if self.program else find_tshark()
+        found = shutil.which(self.tshark) if self.tshark else find_tshark()
         if not found:
-            what = f"{self.program} is no program that can be run" if self.program else "tshark was not found"
+            what = f"{self.tshark} is no program that can be run" if self.tshark else "tshark was not found"
             raise SetupError(f"{what}: {INSTALL_TSHARK}")
         return os.path.abspath(found)
 
@@ -202,8 +186,10 @@ class Tshark:
             return None
         if done.returncode == 0:
             raise SetupError(f"the plugin wrote no fields.json{said and ': ' + said}: {INSTALL_PLUGIN}")
-        if written and done.returncode == UNDECIDED:
-            return None
+        if written and done.returncode in (BROKEN, UNDECIDED):
+            # Instead of tshark's own code: what it says of the file tells.
+            lines = (line for line in done.stderr.splitlines() if f'"{capture.resolve()}"' in line)
+            return _complaint("\n".join(lines)) or None
         if written and done.returncode > 1:
             return said or f"tshark ended with {done.returncode}"
         if "reference" in said or "-o flag" in said:
@@ -218,11 +204,10 @@ class Tshark:
         return f"tshark has no YAPP plugin, or one that is too old for -z yapp,csv: {INSTALL_PLUGIN}"
 
 
-def _run(command: list[str], folder: Path, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    pipe = subprocess.PIPE
+def _run(command: list[str], folder: Path | None = None) -> subprocess.CompletedProcess[str]:
     try:
         return subprocess.run(
-            command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe,
+            command, cwd=folder, env=LARGE_PIECES | os.environ, stdin=subprocess.DEVNULL, capture_output=True,
             encoding="utf-8", errors="replace", check=False,
         )  # fmt: skip
     except OSError as error:
@@ -238,35 +223,20 @@ def check_file(capture: Path) -> None:
         raise CaptureError(f"{capture} cannot be read: permission denied")
 
 
-def left_out(partial: str | None, lost: str, complaints: Iterable[str]) -> list[str]:
-    """Return sentences on all that a result lacks; empty where it is complete."""
-    return [text for text in (f"read in part: {partial}" if partial else "", lost, *complaints) if text]
-
-
 def _complaint(stderr: str) -> str:
     """What tshark said, without what it says every time as root, on one line."""
     lines = [line.strip() for line in stderr.splitlines()]
     return " ".join(line.removeprefix("tshark: ") for line in lines if line and not line.startswith("Running as user"))
 
 
-def _complaints(done: subprocess.CompletedProcess[str]) -> tuple[str, ...]:
-    """Return what the plugin says it leaves out, but for undecoded messages, which are events."""
-    found = dict.fromkeys(line for line in _said(done) if not (UNDECODED.search(line) or COPIES.search(line)))
-    return tuple(found) or (UNRELIABLE,) * (done.returncode == UNDECIDED)
-
-
-def _said(done: subprocess.CompletedProcess[str]) -> list[str]:
-    return [line.removeprefix(PLUGIN_SAYS) for line in done.stderr.splitlines() if line.startswith(PLUGIN_SAYS)]
+def _said(done: subprocess.CompletedProcess[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what the plugin says it leaves out, and what it says of copies."""
+    own = (line.removeprefix(PLUGIN_SAYS) for line in done.stderr.splitlines() if line.startswith(PLUGIN_SAYS))
+    lines = dict.fromkeys(own)
+    notes = tuple(line for line in lines if COPIES.search(line))
+    return tuple(line for line in lines if line not in notes), notes
 
 
 def _json_lines(stdout: str) -> Iterator[Record]:
     """Yield what statistics printed; numbers with a point stay exact."""
     return (json.loads(line, parse_float=Decimal) for line in stdout.splitlines() if line.startswith("{"))
-
-
-def _records(stdout: str) -> dict[str, list[Record]]:
-    """Return the JSON lines of the statistics, told apart by their keys."""
-    records: dict[str, list[Record]] = {name: [] for name in STATISTICS}
-    for record in _json_lines(stdout):
-        records["events" if "kind" in record else "summary"].append(record)
-    return records

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from .errors import count_of
-from .matrix import DEGREES
+from .series import DEGREES
 from .words import about, clock, duration, minute, utc
 
 Record = dict[str, Any]
@@ -215,7 +215,6 @@ def head(data: Record) -> dict[str, str]:
                    for name, text in data["about"])  # fmt: skip
     word, text = headline(data)
     decoded = "not all decoded" if data["left_out"] else "all decoded"
-    level = f"Never changed: {'; '.join(data['level'])}." if data["level"] else ""
     return {
         "/*NAME*/": html.escape(data["name"]),
         "/*WHEN*/": f"{day} {utc(data['epoch'], 0)} UTC, {duration(data['length'])}",
@@ -226,7 +225,6 @@ def head(data: Record) -> dict[str, str]:
         "/*PHASES*/": html.escape(_phases(data)),
         "/*INCIDENTS*/": table(data),
         "/*BEGIN*/": utc(data["epoch"], 0),
-        "/*LEVEL*/": html.escape(level),
     }
 
 

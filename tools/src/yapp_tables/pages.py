@@ -1,13 +1,22 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Pages without a script: of two runs compared, and of a trend over flights."""
+"""What pages are made of: tables, colours, and whole pages without a script, of two runs compared and of a trend."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
-from .html_table import html_table
-
+# Sixteen colours of controllers, on a light and on a dark background. Each is at least 3:1 against its background, and
+# at least 0.16 apart from each other and from the grey of Commands, in the Oklab space, where people see differences of
+# 0.02. The first ones are the furthest apart.
+LIGHT = (
+    "#026fd7", "#fb1597", "#02400d", "#ab8a41", "#7f13f5", "#039227", "#aa1a0d", "#a3489d",
+    "#d91dfc", "#2ca0ac", "#f84713", "#0816d0", "#987efc", "#630580", "#5c0109", "#012868",
+)  # fmt: skip
+DARK = (
+    "#38c5fd", "#d00c98", "#227702", "#f2d710", "#877deb", "#30bd44", "#ee1401", "#fd67f4",
+    "#fdcbf8", "#84f8d2", "#fc8c45", "#1d4ffd", "#53fe0a", "#9a0eef", "#905c3f", "#136b94",
+)  # fmt: skip
 STYLE = """
 :root { color-scheme: light dark; }
 body { font: 15px/1.45 system-ui, sans-serif; padding: 4px 16px; max-width: 1200px; }
@@ -21,6 +30,29 @@ svg { width: 260px; height: 70px; vertical-align: middle; }
 .line { stroke: #3086e8; stroke-width: 2; } .sure { stroke: #d33030; stroke-width: 2; }
 """
 HEAD = "default-src 'none'; style-src 'unsafe-inline'"
+
+
+def css() -> str:
+    """Return the rules that give each data-colour its --own."""
+    both = enumerate(zip(LIGHT, DARK, strict=True))
+    rules = [f'[data-colour="{number}"] {{ --own: light-dark({light}, {dark}); }}' for number, (light, dark) in both]
+    return "\n".join(rules)
+
+
+def html_table(heads: Mapping[str, str], rows: Sequence[Mapping[str, object]]) -> str:
+    """Return a table; a column without a cell is left out. heads: {key of the rows: its heading}."""
+    keys = [key for key in heads if any(row.get(key) is not None for row in rows)]
+    lines = ["".join(_cell("td", row.get(key)) for key in keys) for row in rows]
+    return _rows("thead", ["".join(_cell("th", heads[key]) for key in keys)]) + _rows("tbody", lines)
+
+
+def _rows(tag: str, lines: Iterable[str]) -> str:
+    return f"<{tag}>{''.join(f'<tr>{line}</tr>' for line in lines)}</{tag}>"
+
+
+def _cell(tag: str, value: object) -> str:
+    text = f"{value:.7g}" if isinstance(value, float) else "" if value is None else html.escape(str(value))
+    return f"<{tag} class=number>{text}</{tag}>" if isinstance(value, int | float) else f"<{tag}>{text}</{tag}>"
 
 
 def page(title: str, parts: Iterable[str]) -> str:
