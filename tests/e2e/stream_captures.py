@@ -276,7 +276,7 @@ class Packet:
     def __init__(self, data, origin, captured=None):
         self.data, self.origin = data, origin
         self.captured = len(data) if captured is None else captured
-        self.events, self.pending, self.leads_to, self.held = [], b"", set(), False
+        self.events, self.pending, self.leads_to = [], b"", set()
         self.time = self.number = self.sequence = None
         self.acknowledged = 1
         self.bus = ""
@@ -294,117 +294,45 @@ def note_parts(packets, last, events=None):
                 one.leads_to |= {last} - {one}
 
 
-def joined(data, origin, pieces):
-    """The packets of a stream, for its bytes as (from, to): packets tell which bytes wait, and frames which packets they
-    came in.  What they hold is noted when it is in order, in the last one of those that came till then."""
-    packets, came, done, oracle, waiting = [], 0, 0, Oracle(data), []
-    for start, end in pieces:
-        packet = Packet(data[start:end], origin)
-        packet.sequence = start + 1
-        packets.append(packet)
-        waiting = sorted([*waiting, (start, end, len(packets), packet)])
-        before = came
-        while waiting and waiting[0][0] <= came:
-            start, end, _, one = waiting.pop(0)
-            one.start, one.end = came, max(came, end)
-            came = one.end
-        if came > before:
-            packet.events, done = oracle.events(came, done)
-        if hasattr(packet, "end"):
-            packet.pending = data[max(done, packet.start):packet.end]
-        else:
-            packet.pending, packet.held = packet.data, True
-        note_parts([one for one in packets if hasattr(one, "end")], packet)
-        packet.done = done
-    return packets
+class Stream:
+    """One direction of a conversation.  Where a conversation in UDP was found by content, a datagram without a frame is
+    others', unless it goes on with a frame or begins one."""
 
-
-def in_order(rng, data):
-    """Its bytes in pieces, as (from, to)."""
-    pieces, at = [], 0
-    for piece in cuts(rng, data):
-        pieces.append((at, at + len(piece)))
-        at += len(piece)
-    return pieces
-
-
-def joined_by_us(rng, data, origin):
-    return joined(data, origin, in_order(rng, data))
-
-
-class Datagrams:
-    """One direction of a conversation in UDP, a byte stream.  Where the conversation was found by content, a datagram without
-    a frame is others', unless it goes on with a frame or begins one."""
-
-    def __init__(self, origin, by_content):
+    def __init__(self, origin, by_content=False):
         self.origin, self.by_content = origin, by_content
-        self.run, self.came, self.done, self.dropped = [], 0, 0, set()  # the packets of the byte stream
+        self.begin()
 
-    def events(self, ended=False):
-        oracle = Oracle(b"".join(packet.data for packet in self.run), self.dropped)
-        found = oracle.events(self.came, self.done, ended)
+    def begin(self):
+        self.run, self.data, self.done, self.dropped = [], b"", 0, set()  # packets and bytes since nothing waited
+
+    def events(self, shower, ended=False):
+        oracle = Oracle(self.data, self.dropped)
+        found, self.done = oracle.events(len(self.data), self.done, ended)
         self.dropped = oracle.dropped
+        note_parts(self.run, shower, found)
         return found
 
-    def next(self, data):
-        packet, waited = Packet(data, self.origin), self.came - self.done
-        packet.start, packet.end = self.came, self.came + len(data)
+    def add(self, packet, skipped, shower):
+        """The bytes of a packet but for those that came before; -> what the packet shows that brings them."""
+        if self.done == len(self.data):
+            self.begin()
+        packet.start, packet.end = len(self.data), len(self.data) + len(packet.data) - skipped
+        self.data += packet.data[skipped:]
         self.run.append(packet)
-        self.came = packet.end
-        packet.events, self.done = self.events()
-        packet.pending = data[max(self.done - packet.start, 0):]
-        note_parts(self.run, packet)
+        return self.events(shower)
+
+    def waiting(self, packet):
+        return self.data[max(self.done, packet.start):packet.end]
+
+    def next(self, data):
+        packet, waited = Packet(data, self.origin), self.done < len(self.data)
+        packet.events = self.add(packet, 0, packet)
+        packet.pending = self.waiting(packet)
         is_begun = bool(packet.pending) and (may_be_header(packet.pending) if len(packet.pending) > 1 else len(data) == 1)
         if self.by_content and not (waited or is_begun or any(event.kind != "skipped" for event in packet.events)):
             packet.events, packet.pending = [], b""
-            self.run, self.came, self.done, self.dropped = [], 0, 0, set()
+            self.begin()
         return packet
-
-
-def datagrams(by_content, lost=0.0):
-    """Each direction's first one has a whole frame and so tells what the conversation is."""
-    def arrive(rng, data, origin):
-        direction = Datagrams(origin, by_content)
-        pieces = [good(rng), *(piece for piece in cuts(rng, data) if rng.random() >= lost)]
-        return [direction.next(piece) for piece in pieces]
-    return arrive
-
-
-def with_first(rng, data, change):
-    """The bytes of a TCP connection, whose first segment tells what it is, and its segments."""
-    first = good(rng)
-    return first + data, [(0, len(first)), *change([(start + len(first), end + len(first)) for start, end in in_order(rng, data)])]
-
-
-def segments(rng, data, origin):
-    data, pieces = with_first(rng, data, lambda pieces: pieces)
-    return joined(data, origin, pieces)
-
-
-def segments_repeated(rng, data, origin):
-    """Segments that come twice, with less or more than before, and such as begin in what came before."""
-    def repeat(pieces):
-        changed = []
-        for start, end in pieces:
-            changed.append((rng.choice([start, start, rng.randrange(start + 1)]), end))
-            while rng.random() < 0.3:
-                again = rng.choice(changed)[0]
-                changed.append((again, rng.randrange(again, end) + 1))
-        return changed
-
-    data, pieces = with_first(rng, data, repeat)
-    pieces = [pieces[0]] + [(max(start, end - 1400), end) for start, end in pieces[1:]]
-    return joined(data, origin, pieces)
-
-
-def segments_disordered(rng, data, origin):
-    """Some segments come late, and some of them twice."""
-    def shuffle(pieces):
-        order = sorted(range(len(pieces)), key=lambda i: i if rng.random() < 0.7 else i + rng.randrange(1, 5))
-        return [pieces[i] for i in order for _ in range(rng.choice([1, 1, 1, 2]))]
-
-    data, pieces = with_first(rng, data, shuffle)
-    return joined(data, origin, pieces)
 
 
 def merged(events):
@@ -420,46 +348,87 @@ def merged(events):
 MAX_HELD = 16  # segments behind a lost one: then it is given up
 
 
-class Connection(Datagrams):
-    """One direction of a TCP connection of which some segments are missing: those behind a gap wait."""
+class Connection(Stream):
+    """One direction of a TCP connection: segments come in any order, and those behind a gap wait."""
 
     def __init__(self, origin):
-        super().__init__(origin, False)
+        super().__init__(origin)
         self.held, self.expected = [], 0
 
     def next(self, data, at):
         packet, found = Packet(data, self.origin), []
-        packet.sequence = at + 1
-        self.held.append(packet)
+        packet.sequence, packet.pending = at + 1, data
+        self.held = sorted([*self.held, packet], key=lambda one: one.sequence)
         while self.held:
             first = self.held[0]
-            if first.sequence - 1 > self.expected:
+            overlap = self.expected + 1 - first.sequence
+            if overlap < 0:
                 if len(self.held) < MAX_HELD:
                     break
-                rest, _ = self.events(ended=True)
-                note_parts(self.run, packet, rest)
-                found += rest
-                self.run, self.came, self.done, self.dropped = [], 0, 0, set()
+                found += self.events(packet, ended=True)
+                self.begin()
+                self.expected, overlap = first.sequence - 1, 0
             self.held.pop(0)
-            self.run.append(first)
-            first.start, first.end = self.came, self.came + len(first.data)
-            self.came, self.expected = first.end, first.sequence - 1 + len(first.data)
-            more, self.done = self.events()
-            note_parts(self.run, packet, more)
-            found += more
-        packet.events, packet.held = merged(found), packet in self.held
-        packet.pending = data if packet.held else data[max(self.done - packet.start, 0):]
+            first.pending = b"" if first is packet else first.pending
+            if overlap < len(first.data):
+                found += self.add(first, overlap, packet)
+                self.expected += len(first.data) - overlap
+        packet.events = merged(found)
+        if packet in self.run:
+            packet.pending = self.waiting(packet)
         return packet
 
 
-def segments_lost(rng, data, origin):
+def in_order(rng, data, origin):
+    stream = Stream(origin)
+    return [stream.next(piece) for piece in cuts(rng, data)]
+
+
+def datagrams(by_content, lost=0.0):
+    """The first one has a whole frame and so tells what the conversation is."""
+    def arrive(rng, data, origin):
+        stream = Stream(origin, by_content)
+        return [stream.next(piece) for piece in [good(rng), *(piece for piece in cuts(rng, data) if rng.random() >= lost)]]
+    return arrive
+
+
+def segments(change):
+    """The first one has a whole frame and so tells what the connection is; the others come as `change` has it."""
+    def arrive(rng, data, origin):
+        first, pieces = good(rng), []
+        at = len(first)
+        for piece in cuts(rng, data):
+            pieces.append((at, at + len(piece)))
+            at += len(piece)
+        connection, data = Connection(origin), first + data
+        return [connection.next(data[start:end], start) for start, end in [(0, len(first)), *change(rng, pieces)]]
+    return arrive
+
+
+def unchanged(_, pieces):
+    return pieces
+
+
+def repeated(rng, pieces):
+    """Segments that come twice, with less or more than before, and such as begin in what came before."""
+    changed = []
+    for start, end in pieces:
+        changed.append((rng.choice([start, start, rng.randrange(start + 1)]), end))
+        while rng.random() < 0.3:
+            again = rng.choice(changed)[0]
+            changed.append((again, rng.randrange(again, end) + 1))
+    return [(max(start, end - 1400), end) for start, end in changed]
+
+
+def disordered(rng, pieces):
+    """Some segments come late, and some of them twice."""
+    order = sorted(range(len(pieces)), key=lambda i: i if rng.random() < 0.7 else i + rng.randrange(1, 5))
+    return [pieces[i] for i in order for _ in range(rng.choice([1, 1, 1, 2]))]
+
+
+def with_gaps(rng, pieces):
     """Some segments are not in the capture."""
-    connection, at, packets = Connection(origin), 0, []
-    for piece in [good(rng), *cuts(rng, data)]:
-        if not packets or rng.random() > 0.1:
-            packets.append(connection.next(piece, at))
-        at += len(piece)
-    return packets
+    return [piece for piece in pieces if rng.random() > 0.1]
 
 
 # Carriers -------------------------------------------------------------------------------------------------------------
@@ -577,28 +546,26 @@ def mixed(number):
 
 # Name: where the streams are, how their pieces come, how a packet looks on the link, and what tshark needs.
 TRANSPORTS = {
-    "DLT_USER, by the table": (interfaces(USER0), joined_by_us, raw, UAT),
-    "DLT_USER, by the preference": (interfaces(USER0), joined_by_us, raw, ["-o", "yapp.user_dlt:147"]),
-    "DLT_USER, directions by flags": (by_flags(USER0), joined_by_us, raw, ["-o", "yapp.user_dlt:147"]),
-    "exported PDU, by interface": (interfaces(EXPORTED_PDU), joined_by_us, exported_pdu, []),
-    "exported PDU, by address": (on_one(EXPORTED_PDU), joined_by_us, exported_pdu, []),
-    "RTAC": (in_pairs(RTAC), joined_by_us, rtac, AS_SERIAL),
-    "several kinds of link": (mixed, joined_by_us, None, [*UAT, *AS_SERIAL]),
+    "DLT_USER, by the table": (interfaces(USER0), in_order, raw, UAT),
+    "DLT_USER, by the preference": (interfaces(USER0), in_order, raw, ["-o", "yapp.user_dlt:147"]),
+    "DLT_USER, directions by flags": (by_flags(USER0), in_order, raw, ["-o", "yapp.user_dlt:147"]),
+    "exported PDU, by interface": (interfaces(EXPORTED_PDU), in_order, exported_pdu, []),
+    "exported PDU, by address": (on_one(EXPORTED_PDU), in_order, exported_pdu, []),
+    "RTAC": (in_pairs(RTAC), in_order, rtac, AS_SERIAL),
+    "several kinds of link": (mixed, in_order, None, [*UAT, *AS_SERIAL]),
     "UDP": (on_one(ETHERNET), datagrams(True), udp, []),
     "UDP, Decode As": (on_one(ETHERNET), datagrams(False), udp, ["-d", "udp.port==20001,yapp_serial"]),
-    "TCP": (on_one(ETHERNET), segments, tcp, []),
-    "TCP, Decode As": (on_one(ETHERNET), segments, tcp, ["-d", "tcp.port==20001,yapp_serial"]),
-    "TCP, segments missing": (on_one(ETHERNET), segments_lost, tcp, []),
-    "TCP, segments repeated": (on_one(ETHERNET), segments_repeated, tcp, []),
-    "TCP, segments repeated, analysis off": (on_one(ETHERNET), segments_repeated, tcp, [
-        "-o", "tcp.analyze_sequence_numbers:FALSE"]),
-    "TCP, segments repeated, Wireshark reassembles": (on_one(ETHERNET), segments_repeated, tcp, OUT_OF_ORDER),
-    "TCP, out of order": (on_one(ETHERNET), segments_disordered, tcp, []),
-    "TCP, out of order, Wireshark reassembles": (on_one(ETHERNET), segments_disordered, tcp, OUT_OF_ORDER),
-    "TCP that joins nothing": (on_one(ETHERNET), segments_disordered, tcp, ["-o", "tcp.desegment_tcp_streams:FALSE"]),
-    "USB, usbmon": (on_one(USBMON), segments, adapter(usbmon), []),
-    "USB, FTDI in usbmon": (on_one(USBMON), segments, adapter(usbmon, lambda data: with_status(data, 64)), []),
-    "USB, USBPcap": (on_one(USBPCAP), segments, adapter(usbpcap), []),
+    "TCP": (on_one(ETHERNET), segments(unchanged), tcp, []),
+    "TCP, Decode As": (on_one(ETHERNET), segments(unchanged), tcp, ["-d", "tcp.port==20001,yapp_serial"]),
+    "TCP, segments missing": (on_one(ETHERNET), segments(with_gaps), tcp, []),
+    "TCP, segments repeated": (on_one(ETHERNET), segments(repeated), tcp, []),
+    "TCP, late, twice and missing": (on_one(ETHERNET), segments(lambda *all: with_gaps(all[0], disordered(*all))), tcp, []),
+    "TCP, out of order": (on_one(ETHERNET), segments(disordered), tcp, []),
+    "TCP, out of order, Wireshark reassembles": (on_one(ETHERNET), segments(disordered), tcp, OUT_OF_ORDER),
+    "TCP that joins nothing": (on_one(ETHERNET), segments(disordered), tcp, ["-o", "tcp.desegment_tcp_streams:FALSE"]),
+    "USB, usbmon": (on_one(USBMON), datagrams(False), adapter(usbmon), []),
+    "USB, FTDI in usbmon": (on_one(USBMON), datagrams(False), adapter(usbmon, lambda data: with_status(data, 64)), []),
+    "USB, USBPcap": (on_one(USBPCAP), datagrams(False), adapter(usbpcap), []),
     "UDP, datagrams missing": (on_one(ETHERNET), datagrams(True, 0.1), udp, []),
 }
 

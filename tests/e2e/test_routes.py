@@ -8,7 +8,6 @@ import subprocess
 
 import pytest
 
-import flights
 import levels
 import stream_captures
 import test_readme
@@ -75,23 +74,6 @@ def test_csv_that_lost_its_buses(folder):
     assert sorted(row for row in tshark.fields(folder / "run.log", columns) if row[0]) == wanted and len(wanted) == 24
     kinds = {event["kind"] for event in events(folder / "run.log")}
     assert "shared" in kinds and not kinds & {"incomplete", "crc", "unfinished"}
-
-
-@pytest.mark.parametrize("passes", [(), ("-2",)], ids=len)
-@pytest.mark.parametrize("buses", [2, 3])
-def test_merged_logs(folder, buses, passes):
-    """The logs of several buses as one, all lines of can0."""
-    flight = flights.make(3 if buses == 2 else 4, is_clean=True)
-    frames = [(frame.at + 1000 * bus, frame) for frame in flight.frames for bus in range(buses) if frame.bus == 0]
-    lines = [f"({at // 10**9}.{at % 10**9 // 1000:06d}) can0 {frame.can_id:08X}#{frame.data.hex().upper()}"
-             for at, frame in sorted(frames, key=lambda one: one[0])]
-    (folder / "run.log").write_text("\n".join(lines) + "\n")
-    found = tshark.fields(folder / "run.log", ["yapp.crc.status", "yapp.fragment.orphan", "yapp.fragment.incomplete"], *passes)
-    sent = [message for sender in flight.senders if sender.bus == 0 for message in sender.messages if len(message.frames) > 1]
-    good = [row for row in found if row[0] == "1"]
-    assert sent and len(good) == buses * len(sent)
-    if passes:  # in one pass they are withdrawn too late
-        assert not any(row[1] or row[2] for row in found)
 
 
 def test_any_csv(folder):

@@ -1,7 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- Makes streams for the framing tests: frames, good and damaged in every way, amid text and noise.
 if not arg then return end -- run by Wireshark, see run.lua
-local bits = require("yapp.base.bits")
 local crc = require("yapp.wire.crc")
 
 local M = {}
@@ -47,24 +46,6 @@ function M.frame(id, payload)
 end
 local frame = M.frame
 
---- Two good frames with the same last byte and the same CRC: the four bytes between their headers take the register
--- back to its initial value.
-function M.two_good_with_one_end(id, inner)
-  local outer = header(id, #inner)
-  local initial_in_four_bytes = 0xD9FD2E22
-  return outer .. little_endian(bits.bxor(crc.of(outer), initial_in_four_bytes), 4):reverse() .. inner
-end
-
---- A good frame and how it goes on so that another one is good, whose header is its last six bytes and six more.
-function M.header_across_the_end(payload, rest)
-  local first, n = frame(5, payload .. "YP"), 0
-  while first:byte(-1) > 7 do -- the CRC is to end as an id does
-    first, n = frame(5, payload .. n .. "YP"), n + 1
-  end
-  local second = first:sub(-6) .. "\0\0" .. little_endian(#rest, 2) .. "\0\0" .. rest
-  return first, sealed(second):sub(7)
-end
-
 local function pick(random, list) return list[random(#list)] end
 
 local function random_bytes(random, count)
@@ -95,13 +76,6 @@ local PIECES = {
   end,
 
   noise = function(random) return spliced(random, random_bytes(random, random(30)), "YP") end,
-
-  -- Made of what headers are made of.
-  sly_noise = function(random)
-    local bytes, parts = {}, { "YP", "\0", "\0", "\0\0\0", "\3", "Y", "P", "\16" }
-    for i = 1, random(60) do bytes[i] = pick(random, parts) end
-    return table.concat(bytes)
-  end,
 
   flipped = function(random)
     local bytes, bit = good(random), pick(random, { 1, 2, 4, 8, 16, 32, 64, 128 })
@@ -156,25 +130,11 @@ local PIECES = {
     return frame(unknown_id(random), spliced(random, random_bytes(random, random(20)), good(random)))
   end,
 
-  same_end = function(random)
-    local inner = random_bytes(random, random(9) - 1) .. good(random)
-    return header(unknown_id(random), #inner - 4) .. inner
-  end,
-
   two_good_overlapping = function(random)
     local rest = random_bytes(random, random(20))
     local second = header(unknown_id(random), 4 + #rest)
     local first = frame(unknown_id(random), random_bytes(random, random(20)) .. second)
     return first .. rest .. little_endian(crc.of(second .. first:sub(-4) .. rest), 4)
-  end,
-
-  two_good_with_one_end = function(random)
-    return M.two_good_with_one_end(unknown_id(random), good(random))
-  end,
-
-  header_across_the_end = function(random)
-    local first, tail = M.header_across_the_end(random_bytes(random, random(5)), good(random))
-    return first .. tail
   end,
 
   claims = function(random)

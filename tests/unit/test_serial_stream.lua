@@ -130,13 +130,6 @@ function T.test_the_end_of_a_packet_that_was_not_captured()
   end
 end
 
-function T.test_streams_do_not_mix()
-  holds {
-    { 1, A:sub(1, 9), "9 wait", "9 wait, to 3", stream = "a" }, { 2, B, "good 6 @0", stream = "b" },
-    { 3, A:sub(10), "good 5 in 1,3", stream = "a" }, { 5, A, "good 5 @0", stream = "b" },
-  }
-end
-
 function T.test_datagrams()
   holds({
     { 1, A, "good 5 @0" },
@@ -384,62 +377,6 @@ function T.test_a_gap_holds_little()
     most = math.max(most, i % 50 == 0 and kilobytes() - before or 0)
   end
   lu.assertTrue(most < 200 + 2000 / 4) -- a gap is kept, to be told
-end
-
--- Whole frames, parts of frames and noise, in packets of any size.
-local function odd_packets(random)
-  local frames, rows, at = {}, {}, 1
-  for i = 1, 2000 do frames[i] = random(4) > 1 and generator.frame(5, ("%032d"):format(i)) or ("n"):rep(i % 40) end
-  local stream = table.concat(frames)
-  while at <= #stream do
-    local size = random(3) == 1 and 48 or random(90)
-    rows[#rows + 1] = { #rows + 1, stream:sub(at, at + size - 1) }
-    at = at + size
-  end
-  return rows
-end
-
--- What each packet holds, read plainly from what the framing says of its stream: its findings in words, and where the
--- bytes that wait at its end lead.
-local function expected_of(rows)
-  local finder, at, said, ranges = new_framer(), 0, {}, {}
-  for i, row in ipairs(rows) do
-    local from, list = at, {}
-    at = at + #row[2]
-    ranges[i] = { from = from, to = at }
-    for n, finding in ipairs(finder:add(row[2])) do
-      local parts, is_frame = {}, finding.status ~= "skipped"
-      for k, range in ipairs(ranges) do
-        if range.from < finding.to and range.to > finding.from then
-          parts[#parts + 1] = k
-          if is_frame and k < i and finding.from < from then said[k].leads_to = i end
-        end
-      end
-      local where = finding.from >= from and "@" .. finding.from - from or
-        is_frame and "in " .. table.concat(parts, ",") or "before"
-      list[n] = ("%s %d %s"):format(finding.status, is_frame and 5 or finding.to - finding.from, where)
-    end
-    said[i] = { findings = table.concat(list, ", "), pending = at - math.max(finder.from, from) }
-  end
-  return said
-end
-
-function T.test_random_packets_in_any_order()
-  for seed = 1, levels.size(4, 40) do
-    local random = generator.random(seed)
-    local rows, self = odd_packets(random), new()
-    local said = expected_of(rows)
-    local function holds_what_it_should(i, contents, leads_to)
-      local findings = in_words({ findings = contents.findings, pending = 0 }, rows[i][2])
-      local found = { findings, contents.pending, contents.leads_to }
-      lu.assertEquals(found, { said[i].findings, said[i].pending, leads_to }, "seed " .. seed .. " " .. i)
-    end
-    for i, row in ipairs(rows) do holds_what_it_should(i, self:add(packet_of(row), true)) end
-    for _ = 1, 500 do
-      local i = random(#rows)
-      holds_what_it_should(i, self:find(packet_of(rows[i])), said[i].leads_to)
-    end
-  end
 end
 
 return T
