@@ -151,7 +151,7 @@ for _, row in ipairs(options_of.MENUS) do
   if row.name ~= "check" then AS_DATA[#AS_DATA + 1] = row.table_only and row.name .. ",-,motor" or row.name .. ",json" end
 end
 
-local TOO_FEW = "too few good messages, values that are not reserved, or other sources"
+local TOO_FEW = "too few good messages, values that are not reserved, or other sources: see yapp.sources and the preferences of IDs"
 local NOTHING_CAME = "no YAPP message found: the capture has no packets, or -R removed all of them\n"
 
 -- summary -------------------------------------------------------------------------------------------------------
@@ -539,7 +539,7 @@ YAPP check: FAILED
 
 check       rule                bus   ID     source  message     frame  seen  worst  margin     %  note
 FAILED      motor.volts=20..30  can0  0x210  left    Motor Data      1     2     10     -10  -100  of 2 values
-NOT JUDGED  note.count=1                                                                           no message came that this rule applies to: see yapp.note_ids
+NOT JUDGED  note.count=1                                                                           too few good messages, values that are not reserved, or other sources: see yapp.sources and the preferences of IDs
 ok          motor.gap=1         can0  0x210  left    Motor Data      2   0.5            0.5    50
 ok          unknown=0                                                      0
 
@@ -595,7 +595,7 @@ function T.test_a_report_for_ci()
 <testsuite name="yapp.check" tests="4" failures="1" errors="1">
   <testcase classname="yapp.check" name="motor.count=2 can0 0x210 left"><failure message="seen 1, frame 1"/></testcase>
   <testcase classname="yapp.check" name="crc=0 can0 0x210 left"><system-out>seen 0</system-out></testcase>
-  <testcase classname="yapp.check" name="note.count=1"><error message="note no message came that this rule applies to: see yapp.note_ids"/></testcase>
+  <testcase classname="yapp.check" name="note.count=1"><error message="note too few good messages, values that are not reserved, or other sources: see yapp.sources and the preferences of IDs"/></testcase>
   <testcase classname="yapp.check" name="unknown=0"><system-out>seen 0</system-out></testcase>
 </testsuite>
 ]])
@@ -1130,8 +1130,8 @@ function T.test_nothing_to_judge_by()
   end
   lu.assertEquals(note("", {}, { extended = 1 }),
     "no YAPP message found; 1 extended CAN frame was not dissected: see yapp.motor_ids, yapp.all_extended")
-  lu.assertStrContains(note(",note.count=1", { record(1, 0) }), "no message came that this rule applies to: see yapp.note_ids")
-  lu.assertStrContains(note(",source=who,crc=0", { record(1, 0) }), "no message came that this rule applies to: see yapp.sources")
+  lu.assertStrContains(note(",note.count=1", { record(1, 0) }), TOO_FEW)
+  lu.assertStrContains(note(",source=who,crc=0", { record(1, 0) }), TOO_FEW)
   lu.assertStrContains(note(",absent=0", { record(1, 0) }), "no source is named with a message: see yapp.sources")
   lu.assertStrContains(note(",motor.volts.spread=1", { record(1, 0) }), TOO_FEW)
   lu.assertStrContains(run({ "check" }, { record(1, 0) }, { matches = {} }), "no message matches the filter\n")

@@ -62,7 +62,8 @@ M.COLUMNS = output.columns {
 M.FAILED = FAILED
 
 local NONE = "no message came that this rule applies to"
-local TOO_FEW = "too few good messages, values that are not reserved, or other sources"
+local TOO_FEW = "too few good messages, values that are not reserved, or other sources: see " ..
+  "yapp.sources and the preferences of IDs"
 local CLOSE = 5 -- percent of the range: what held by less is marked
 local BRIEF = "outside, but not for so long" -- of a rule with for=
 
@@ -87,9 +88,6 @@ local function measure_none(_, rule, check)
     local has_come = group.count > 0 and rules.is_of(rule, group.source)
     if has_come and (rule.is_default or is_rare) then return 0, nil, not is_rare and NONE end
   end
-  local preference = rule.source and "sources" or rule.message and rule.message.name .. "_ids"
-  local why = preference and ("%s: see yapp.%s"):format(NONE, preference) or NONE
-  return nil, nil, why
 end
 
 -- Set the margin of a row whose rule was judged: of numbers, not of counts and codes.
