@@ -158,9 +158,9 @@ end
 local function add_message(self, event)
   local group = self.by_source[event.source]
   local last = group.last
-  local gap = last and span(last.at, event.at)
   group.last = event
-  if gap then
+  if last then
+    local gap = span(last.at, event.at)
     if gap > (group.gap_max or -INFINITE) then
       group.gap_max, group.gap_max_frame = gap, event.frame
     end
@@ -173,7 +173,7 @@ local function add_message(self, event)
   group.decoded = group.decoded + 1
   local every = group.type.every
   local longest = every and self.context.settings.late * every or INFINITE
-  self.add_values(group.values, event, longest, gap or 0)
+  self.add_values(group.values, event, longest, last)
 end
 
 -- amount  to add; nil for 1, but only once for all events of one message

@@ -157,14 +157,14 @@ end
 
 --- Add a message.
 -- longest  seconds: a longer gap breaks what must last
--- gap      seconds since the message before
-function M.add(state, event, longest, gap)
+-- last     the message before, nil for none
+function M.add(state, event, longest, last)
   local change = event.values.change
-  local begins = gap > longest or change and change.reboot
+  local is_apart = last and (event.at < last.at or span(last.at, event.at) > longest)
   -- Rules share fields: work their numbers out once.
   local numbers = memo(function(field) return groups.number_in(field, event.raws) end)
   for _, series in ipairs(state) do
-    if begins then restart(series) end
+    if is_apart or change and change.reboot then restart(series) end
     local answer, value = is_judged(series, numbers, event.at), NO_NUMBER
     if answer then
       value = numbers[series.field]
