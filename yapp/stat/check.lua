@@ -61,11 +61,9 @@ M.COLUMNS = output.columns {
 --- The verdict `ok` of a row whose rule does not hold.
 M.FAILED = FAILED
 
-local NONE = "no message came that this rule applies to"
 local TOO_FEW = "too few good messages, values that are not reserved, or other sources: see " ..
   "yapp.sources and the preferences of IDs"
 local CLOSE = 5 -- percent of the range: what held by less is marked
-local BRIEF = "outside, but not for so long" -- of a rule with for=
 
 -- Judging -----------------------------------------------------------------------------------------
 
@@ -86,7 +84,9 @@ local function measure_none(_, rule, check)
   local is_rare = rule.kind.scope == "rare"
   for _, group in ipairs(check.list) do
     local has_come = group.count > 0 and rules.is_of(rule, group.source)
-    if has_come and (rule.is_default or is_rare) then return 0, nil, not is_rare and NONE end
+    if has_come and (rule.is_default or is_rare) then
+      return 0, nil, not is_rare and "no message came that this rule applies to"
+    end
   end
 end
 
@@ -99,7 +99,7 @@ local function set_margin(row, rule, found)
   local percent, margin = judge.margin(found)
   row.margin, row.percent = groups.clean(margin), percent
   if row.ok ~= OK or not percent or percent >= CLOSE then return end
-  local mark = percent < 0 and BRIEF or "close to its limit"
+  local mark = percent < 0 and "outside, but not for so long" or "close to its limit"
   row.note = row.note and row.note .. ", " .. mark or mark
 end
 

@@ -87,21 +87,20 @@ end
 -- A measure is a function(group, rule, check), which returns the value to judge, nil for none; its
 -- frame; a note; and of stat.judge the value that is nearest to a limit, or farthest outside.
 
-local function frame_of_last(group) return group.last and group.last.frame end
-
 local function measure_gap(group, _, check)
   if group.count == 0 then return nil end
   local gap, to_end = group.gap_max or 0, check.ending.length_since(group.last)
-  return math.max(gap, to_end), gap >= to_end and group.gap_max_frame or frame_of_last(group)
+  return math.max(gap, to_end), gap >= to_end and group.gap_max_frame or group.last.frame
 end
 
 -- A measure of the values that a rule judged.
 local function measure_values(group, rule, check)
   local series, kind = group.values[rule], rule.kind
-  local special = ("%s.%s.special"):format(rule.message.name, rule.field.name)
-  local may_be_reserved = kind.takes_reserved and check.options.rules[special]
   local found, note = series.worst or series.nearest, judge.describe(series)
-  if series.seen == 0 or series.count == 0 and not may_be_reserved then return nil, nil, note end
+  -- Where a rule says how many values may be reserved, all may be.
+  local special = ("%s.%s.special"):format(rule.message.name, rule.field.name)
+  local may_be = (rule.points or kind.name == "special") and check.options.rules[special]
+  if series.seen == 0 or series.count == 0 and not may_be then return nil, nil, note end
   return kind.value(series), found and found.frame, note, found
 end
 
@@ -128,7 +127,6 @@ end
 -- limits   see above; nil for at_most
 -- measure  see above; or value = function(series of stat.judge) -> what it is
 -- is_count true if it has no margin
--- takes_reserved  true if values may be reserved where a rule `special` judges how many
 -- needs_past, needs_time, can_mend, scope  as in rows of kinds
 
 --- MESSAGE.NAME=LIMIT
@@ -138,7 +136,7 @@ M.OF_MESSAGE = input.rows("name text help", {
     "MESSAGE.count=N",
     "at least N messages came",
     limits = at_least_or_within,
-    measure = function(group) return group.count, frame_of_last(group) end,
+    measure = function(group) return group.count, group.last and group.last.frame end,
     is_count = true,
     can_mend = true,
   },
@@ -147,7 +145,7 @@ M.OF_MESSAGE = input.rows("name text help", {
     "MESSAGE.rate=A..B",
     "the mean rate lies within these Hz",
     limits = at_least_or_within,
-    measure = function(group) return groups.rate(group), frame_of_last(group) end,
+    measure = function(group) return groups.rate(group), group.last and group.last.frame end,
     needs_past = true,
     needs_time = true,
     can_mend = true,
@@ -170,7 +168,6 @@ M.OF_FIELD = input.rows("name text help", {
     "all values but reserved ones lie within",
     limits = each_within,
     value = count_outside,
-    takes_reserved = true,
   },
   {
     "over",
@@ -178,14 +175,12 @@ M.OF_FIELD = input.rows("name text help", {
     "all lie within limits that depend on OTHER, linear between the points X",
     limits = each_within_at_points,
     value = count_outside,
-    takes_reserved = true,
   },
   {
     "special",
     "MESSAGE.FIELD.special=X",
     "at most this share of the values is reserved, 0.05 for 5 %",
     value = function(series) return (series.seen - series.count) / series.seen end,
-    takes_reserved = true,
     can_mend = true,
   },
   {

@@ -10,7 +10,7 @@ local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
 local output = require "yapp.stat.output"
 
-local M = {}
+local M = groups.class { follows_changes = true }
 
 local unpack = rawget(table, "unpack")
 
@@ -19,7 +19,8 @@ local unpack = rawget(table, "unpack")
 --   value  function(group) -> its value; without both it is group[key]
 --   needs_time  true if it means nothing without time stamps
 --   shape  a format of its value for people
-local COLUMNS = output.columns {
+--- The columns of summary, see output.columns.
+M.COLUMNS = output.columns {
   { "who" },
   { "bus" },
   { "id" },
@@ -48,7 +49,7 @@ local COLUMNS = output.columns {
   { "silent", where = "text window", title = "silent/s at the end", short = "silent/s" },
   { "reboots", type = "integer", kind = "reboot",
     help = "how often the controller's clock went back" },
-  { "values", type = "values", where = "json", -- Summary:finish works it out
+  { "values", type = "values", where = "json", -- see M.row
     help = "of each field of numbers `min`, `mean` and `max`" },
   { "invalid", type = "integer", kind = "invalid", where = "json text",
     help = "messages with a value that the catalogue does not define" },
@@ -59,9 +60,6 @@ local COLUMNS = output.columns {
   { "copies", type = "integer", kind = "copies", where = "json text",
     help = "messages that were recorded a second time" },
 }
---- The columns, see output.columns.
-M.COLUMNS = COLUMNS
-
 local RANGE = output.words("min mean max")
 local VALUES = output.columns {
   { "who" },
@@ -77,16 +75,11 @@ local VALUES = output.columns {
   { "count", where = "text" },
 }
 
-local Summary = groups.class { follows_changes = true }
-
---- See groups.class.
-M.new = Summary.new
-
 --- Return the row of a source; its values are in JSON alone.
 -- is_window  true if a column that counts nothing is left out
 function M.row(group, ending, is_window)
   local row, names, ranges = {}, {}, {}
-  for _, column in ipairs(COLUMNS.all) do
+  for _, column in ipairs(M.COLUMNS.all) do
     local key, value = column.key, nil
     if column.kind then
       value = group.counts[column.kind].seen
@@ -96,7 +89,6 @@ function M.row(group, ending, is_window)
       if column.type == "seconds" then value = output.seconds(value) end
       if value and column.shape then
         value = { value = value, text = column.shape:format(value) }
-        value.short = value.text
       end
     end
     row[key] = value
@@ -110,7 +102,7 @@ function M.row(group, ending, is_window)
 end
 
 --- End, see stat.answer.
-function Summary:finish(ending, notes)
+function M:finish(ending, notes)
   local rows, shown, context = {}, {}, self.context
   for i, group in ipairs(self:sort(not context.json)) do
     for _, values in ipairs(context.json and kinds.NOTHING or group.values) do
@@ -121,7 +113,7 @@ function Summary:finish(ending, notes)
   end
   local sources = output.count(#rows, "source")
   local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.last or 0)
-  output.print(context, title, COLUMNS, rows, notes)
+  output.print(context, title, M.COLUMNS, rows, notes)
   if shown[1] then
     context.out("\n")
     output.table(context, VALUES, shown)
@@ -131,8 +123,8 @@ end
 -- compare -----------------------------------------------------------------------------------------
 
 local OF_SOURCE = output.words("bus id source count min mean max")
--- People read a line for each field and source.
-local COMPARED = output.columns {
+--- The columns of compare, see output.columns.  People read a line for each field and source.
+M.COMPARED = output.columns {
   { "message", where = "json" },
   { "field", help = "the field" },
   { "unit", type = "string", help = "its unit" },
@@ -147,9 +139,6 @@ local COMPARED = output.columns {
   { "frame" },
   { "sources", type = "list", where = "json", help = "`" .. table.concat(OF_SOURCE, " ") .. "`" },
 }
---- The columns of compare, see output.columns.
-M.COMPARED = COMPARED
-
 local Compare = groups.class { compares = true }
 
 --- See groups.class.
@@ -219,11 +208,11 @@ function Compare:finish(_, notes)
     local rows = joined(unpack(fields))
     local title = ("YAPP compare: %d sources of %s"):format(#list, list[1].type.title)
     if i > 1 and not context.json then context.out("\n") end
-    output.print(context, title, COMPARED, rows, notes)
+    output.print(context, title, M.COMPARED, rows, notes)
     notes = {}
   end
   if not lists[1] then
-    output.print(context, "YAPP compare: no message has several sources", COMPARED, {}, notes)
+    output.print(context, "YAPP compare: no message has several sources", M.COMPARED, {}, notes)
   end
 end
 
