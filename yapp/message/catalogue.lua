@@ -156,8 +156,8 @@ end
 local function compile_fields(message_type, rows, context)
   local offset = 0
   for i, row in ipairs(rows) do
-    context.field = i
-    context.field = row[1] or i
+    context.field = ", field " .. i
+    context.field = ", field " .. (row[1] or i)
     local definition = TYPES[row[2]]
     demand(definition, "unknown type %s; the types are %s", input.shown(row[2]), input.names(TYPES))
     check(row, "a row", FIELD_OPTIONS, 3)
@@ -165,7 +165,7 @@ local function compile_fields(message_type, rows, context)
     if definition.kind ~= "padding" then add_field(message_type, row, definition, offset, size) end
     offset = offset + size
   end
-  context.field = nil
+  context.field = ""
   return offset
 end
 
@@ -197,7 +197,7 @@ local function add_generated(message_type, name, text, title, unit)
 end
 
 -- Compile an entry and add it to the catalogue.
--- context  the subject of errors: context.field is the name of the current field, or nil
+-- context  the subject of errors: message, and field = ", field dc_voltage"
 local function add_message(catalogue, entry, reserved, context)
   context.message = entry.name or context.message
   demand(not input.find(catalogue.messages, entry.name), "the name is there twice")
@@ -249,13 +249,12 @@ end
 function M.compile(entries, reserved, files)
   local catalogue, problems = { messages = {}, by_id = {} }, {}
   for i, entry in ipairs(entries) do
-    local context = { message = i }
+    local context = { message = i, field = "" }
     local ok, problem = pcall(add_message, catalogue, entry, reserved or {}, context)
     if not ok then
       local file = files and files[i] .. ": " or ""
-      local field = context.field and ", field " .. context.field or ""
       local text = "%smessage %s%s: %s; this message is not decoded"
-      problems[#problems + 1] = text:format(file, context.message, field, problem)
+      problems[#problems + 1] = text:format(file, context.message, context.field, problem)
     end
   end
   return catalogue, problems

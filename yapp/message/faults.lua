@@ -75,19 +75,14 @@ end
 --            key, time  of the message in which it rose
 --            incident   a table for the time in which a fault is set without a break }
 function Faults:update(changes, key, time)
-  local steps, keys = nil, self.keys
+  local steps, keys = {}, self.keys
   -- An incident goes on if one field falls and another rises in the same message.
   if not self.set[1] then self.incident = {} end
-  for _, change in ipairs(changes) do
-    if band(change.raised + change.cleared, change.field.alarm_bits) ~= 0 then
-      steps = steps or {}
-      update_field(self, change, key, time, steps)
-    end
-  end
-  if not steps then return nil end
-  if keys[#keys] ~= key then keys[#keys + 1] = key end
+  for _, change in ipairs(changes) do update_field(self, change, key, time, steps) end
+  if not steps[1] then return nil end
   local oldest = self.set[1]
-  self.since[#keys], steps.set = oldest and oldest.time or false, self.set
+  keys[#keys + 1], steps.set = key, self.set
+  self.since[#keys] = oldest and oldest.time or false
   return steps
 end
 

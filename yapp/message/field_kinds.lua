@@ -28,16 +28,12 @@ M.SPECIALS = {
 -- are reserved values; the others map linearly:  value = min + count * (max - min) / (top - 5).
 -- The document's worked examples divide by top - 4; its mapping table and the 0 A of the captured
 -- example prove top - 5.
-M.MAPPING = 5
-M.WORKED_EXAMPLES = 4
-
---- Compressed floats divide by top - below_top.
-M.below_top = M.MAPPING
+local below_top = 5
 
 --- Choose the divisor of all compressed floats.
--- below_top  M.MAPPING, or M.WORKED_EXAMPLES to reproduce the printed figures
-function M.choose_divisor(below_top)
-  M.below_top = below_top
+-- number  5, or 4 to reproduce the printed figures
+function M.choose_divisor(number)
+  below_top = number
 end
 
 -- Values -----------------------------------------------------------------------------------------
@@ -60,7 +56,7 @@ function M.new_float(field)
   return function(raw)
     if raw > ordinary then return nil end
     -- One division at the end, so that the middle of a symmetric range is 0 and not nearly 0.
-    local steps = top - M.below_top
+    local steps = top - below_top
     return (min * steps + raw * span) / steps
   end
 end

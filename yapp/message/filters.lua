@@ -33,10 +33,9 @@ local function add_flags(message_type, field, about, add)
     add(flag.filter, "BOOLEAN", flag.title, text, bits, nil, flag.mask)
   end
   add(field.filter .. ".names", "STRING", title, "Names of the bits that are set: " .. about)
-  for _, words in ipairs { { "raised", "rose" }, { "cleared", "fell" } } do
-    local way, verb = words[1], words[2]
+  for _, way in ipairs { "raised", "cleared" } do
     add(group .. "." .. way, "UINT" .. bits, title .. " " .. way,
-      ("Bits that %s since the source's previous good message: %s"):format(verb, about), "HEX")
+      ("Bits %s since the source's previous good message: %s"):format(way, about), "HEX")
   end
 end
 
@@ -93,7 +92,7 @@ end
 
 --- Add all filters of a message type.  Raise that a name is there twice or is reserved.
 -- reserved  { [filter name] = true } that no message may use
--- context   the subject of errors: context.field is set to the name of the current field
+-- context   the subject of errors, see message.catalogue
 function M.add(message_type, reserved, context)
   local taken, filters = {}, {}
   local function add(filter, ...)
@@ -111,11 +110,11 @@ function M.add(message_type, reserved, context)
     add(item.filter, "DOUBLE", item.title, describe(message_type, item))
   end
   for _, field in ipairs(message_type.fields) do
-    context.field, filters = field.name, {}
+    context.field, filters = ", field " .. field.name, {}
     add_field(message_type, field, add)
     field.filters = filters
   end
-  context.field, filters = nil, {}
+  context.field, filters = "", {}
   for _, list in ipairs { message_type.fields, message_type.generated } do
     for _, item in ipairs(list) do add_rounded(message_type, item, add) end
   end

@@ -148,17 +148,6 @@ local SPECIAL_CELLS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" }
 -- Names of columns that stat.csv puts in front of a message's own.
 local TAKEN = "time frame bus source id seq crc_good"
 
--- Return the columns of a field or derived value, { name, type, flag or nil } each.
-local function columns_of(field)
-  local columns = { { field.name, KINDS[field.kind].column } }
-  if field.special then columns[2] = { field.name .. "_special", "string" } end
-  if field.values then columns[2] = { field.name .. "_text", "string" } end
-  for i, flag in ipairs(field.flags or {}) do
-    columns[i + 1] = { field.group:match("[^.]+$") .. "_" .. flag.name, "bool", flag }
-  end
-  return columns
-end
-
 -- Return the fields and derived values of a message.
 local function fields_of(message_type)
   local list = joined(message_type.fields)
@@ -174,21 +163,23 @@ end
 --          that another column has already ("time", "id") gets "_2" behind it
 function M.columns(message_type)
   local columns, taken = {}, input.set(TAKEN)
+  local function add(field, name, column_type, unit, flag)
+    local own_name, count = name, 1
+    while taken[own_name] do
+      count = count + 1
+      own_name = name .. "_" .. count
+    end
+    taken[own_name] = true
+    columns[#columns + 1] =
+      { name = own_name, unit = unit, type = column_type, field = field, flag = flag }
+  end
   for _, field in ipairs(fields_of(message_type)) do
-    for i, column in ipairs(columns_of(field)) do
-      local name, count = column[1], 1
-      while taken[name] do
-        count = count + 1
-        name = column[1] .. "_" .. count
-      end
-      taken[name] = true
-      columns[#columns + 1] = {
-        name = name,
-        unit = i == 1 and (field.unit or KINDS[field.kind].unit) or nil,
-        type = column[2],
-        field = field,
-        flag = column[3],
-      }
+    local kind = KINDS[field.kind]
+    add(field, field.name, kind.column, field.unit or kind.unit)
+    if field.special then add(field, field.name .. "_special", "string") end
+    if field.values then add(field, field.name .. "_text", "string") end
+    for _, flag in ipairs(field.flags or {}) do
+      add(field, field.group:match("[^.]+$") .. "_" .. flag.name, "bool", nil, flag)
     end
   end
   return columns
@@ -201,11 +192,14 @@ function M.quoted(text)
 end
 
 -- Return the cells of a field, or of a derived value.
+-- raw  nil where it is absent
 local function cells_of(field, raw)
-  local text, special = field_kinds.text(field, raw)
-  if field.special then return text and text .. "," or SPECIAL_CELLS[special] end
+  local value, special = field_kinds.text(field, raw)
+  local text = value or ""
+  if field.special then return SPECIAL_CELLS[special] or text .. "," end
   if field.values then return text .. "," .. M.quoted(field.values[raw] or "") end
-  if not field.flags then return M.quoted(text or "") end
+  if not field.flags then return M.quoted(text) end
+  if not raw then return (","):rep(#field.flags) end
   for _, flag in ipairs(field.flags) do
     text = text .. (band(raw, flag.mask) ~= 0 and ",1" or ",0")
   end
@@ -221,7 +215,9 @@ local function cells_writer(field)
   end
 end
 
-local row_writers = memo(function(message_type)
+--- Return a function(raws) -> the cells of a message, joined by commas, in the order of its
+-- columns; quoted where they must be, empty for fields that are absent.
+function M.row_writer(message_type)
   local pieces = { after = "" }
   for i, field in ipairs(fields_of(message_type)) do
     pieces[i] = {
@@ -230,16 +226,10 @@ local row_writers = memo(function(message_type)
       number = field.number,
       shape = field.number and field.shape .. ",",
       write = cells_writer(field),
-      absent = (","):rep(#columns_of(field) - 1),
+      absent = cells_of(field, nil),
     }
   end
   return new_writer(pieces)
-end)
-
---- Return the function(raws) -> the cells of a message, joined by commas, in the order of its
--- columns; quoted where they must be, empty for fields that are absent.
-function M.row_writer(message_type)
-  return row_writers[message_type]
 end
 
 return M
