@@ -259,23 +259,15 @@ end
 
 -- Preferences and files ---------------------------------------------------------------------------
 
--- List all that makes the answer of a statistic incomplete: a catalogue or preferences with
--- mistakes, and a file with messages that was not read.
--- wrong  list of errors in preferences
-local function list_problems(wrong)
-  local problems, file = {}, yapp.prefs.messages
-  if mistakes[1] then problems[1] = "the catalogue did not load whole" end
-  if file ~= "" and file ~= chosen_files[1] and file ~= chosen_files[2] then
-    problems[#problems + 1] = file .. ", the file with your own messages, was not read"
-    preferences.complain_once { file .. " is read at the next start, if the default profile " ..
-      "names it; for one run set the environment variable YAPP_MESSAGES to it" }
-  end
-  for _, text in ipairs(wrong) do problems[#problems + 1] = "preferences: " .. text end
-  return problems
+-- Return an error if the file with the user's own messages was not read.
+local function check_chosen_file(path)
+  if path == "" or path == chosen_files[1] or path == chosen_files[2] then return {} end
+  return { path .. " is read at the next start, if the default profile names it; for one run " ..
+    "set the environment variable YAPP_MESSAGES to it" }
 end
 
 local function read_preferences()
-  local prefs, chosen = yapp.prefs, {}
+  local prefs, chosen, problems = yapp.prefs, {}, {}
   field_kinds.choose_divisor(prefs.divisor)
   for _, message in ipairs(catalogue.messages) do
     chosen[message.name] = preferences.parse_range(prefs[message.name .. "_ids"])
@@ -284,8 +276,12 @@ local function read_preferences()
   local sources, unread = source_names.parse(prefs.sources, catalogue)
   local late, no_number = preferences.parse_late(prefs.late)
   local link_types = preferences.register_link_types(prefs.user_dlt, serial)
-  local wrong = joined(clashes, unread, no_number, link_types)
-  preferences.complain_once(wrong)
+  local unread_files = check_chosen_file(prefs.messages)
+  for i, text in ipairs(joined(clashes, unread, no_number, link_types, unread_files)) do
+    problems[i] = "preferences: " .. text
+  end
+  preferences.complain(problems)
+  if mistakes[1] then table.insert(problems, "the catalogue did not load whole") end
   types:use(by_id, sources, {
     several_buses = buses:are_several(),
     hides_source = prefs.hide_source,
@@ -293,9 +289,8 @@ local function read_preferences()
   }, function(id) ids:register(id, 0) end)
   settings.accepts_all = prefs.all_extended
   if settings.accepts_all then watch_unclaimed() end
-  settings.late, settings.ids = late, chosen
+  settings.late, settings.ids, settings.problems = late, chosen, problems
   settings.sources, settings.sources_text = sources, prefs.sources
-  settings.problems = list_problems(wrong)
 end
 yapp.prefs_changed = read_preferences
 

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Input that is meant to harm: sizes and lengths at their ends, preferences, candump lines.  Time and memory
-stay bounded, the words say what is wrong and where, and what is good is still decoded."""
+"""Sizes and lengths at their ends.  Time and memory stay bounded, and what is good is still decoded."""
 import pathlib
 import resource
 import struct
@@ -8,7 +7,6 @@ import struct
 import pytest
 
 import levels
-import make
 import test_preferences as given
 import tshark
 
@@ -21,32 +19,18 @@ def limits():
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
 
 
-def decoded_and_said(path, *arguments, passes=((), ("-2",)), **options):
-    """The numbers of the frames with a Taurus message, the same in one pass and in two, with no error in Lua in either;
-    and what the plugin says on stderr in the last one."""
+def decoded(path, *arguments):
+    """The numbers of the frames with a Taurus message, the same in one pass and in two, with no error in Lua in either."""
     found = []
-    for two in passes:
+    for two in ((), ("-2",)):
         done = tshark.run(*two, *arguments, "-r", path, "-T", "fields", "-e", "frame.number", "-e", "_ws.lua.error",
-                          "-e", "taurus.command.key", "-e", "taurus.motor.fault_flags", limits=limits, **options)
+                          "-e", "taurus.command.key", "-e", "taurus.motor.fault_flags", limits=limits)
         assert "Dissector bug" not in done.stderr
         rows = [line.split("\t") for line in done.stdout.splitlines()]
         assert [row for row in rows if row[1]] == []
         found.append([int(row[0]) for row in rows if row[2] or row[3]])
-    assert all(one == found[0] for one in found)
-    return found[0], ours(done.stderr)
-
-
-def decoded(path, *arguments, **options):
-    return decoded_and_said(path, *arguments, **options)[0]
-
-
-def ours(stderr):
-    return [line for line in stderr.splitlines() if line.startswith(("yapp: ", "candump reader: "))]
-
-
-def said(*arguments, **options):
-    """What the plugin says on stderr."""
-    return ours(tshark.run(*arguments, limits=limits, **options).stderr)
+    assert found[0] == found[1]
+    return found[0]
 
 
 # Sizes and lengths -------------------------------------------------------------------------------------------------
@@ -79,49 +63,6 @@ def test_sizes_that_a_start_announces(folder, arguments):
     assert decoded(path, *arguments)[-1] == len(lines) + 4
 
 
-@levels.deep
-def test_starts_without_end(folder):
-    """A Start of 65,535 bytes for each message ID, again and again."""
-    lines = [start(ident, 0xFFFF) for ident in range(1, 2048)] * 10
-    path = given.write(folder, *lines, f"can0 [210 {given.MOTOR}]")
-    assert decoded(path) == [len(lines) + 5]
-
-
-@levels.deep
-def test_the_longest_messages(folder):
-    """65,535 bytes in frames of 8: all of it arrives."""
-    count = 3
-    lines = [f"can0 [123 {'5A*65535'}]"] * count
-    path = given.write(folder, *lines, f"can0 [210 {given.MOTOR}]")
-    assert len(decoded(path, "-o", "yapp.all_extended:TRUE")) == 1
-    done = tshark.run("-r", path, "-Y", "yapp.crc.status == 1 && yapp.reassembled.length == 65535", limits=limits)
-    assert len(done.stdout.splitlines()) == count
-
-
-HEADERS = {
-    "announced sizes": b"YP" + struct.pack("<BBIHH", 0, 0, 0x210, 0xFFFF, 0),
-    "sync alone": b"YP",
-    "half a sync": b"Y",
-    "size 0": b"YP" + struct.pack("<BBIHH", 0, 0, 0x210, 0, 0),
-    "unknown ids": b"YP" + struct.pack("<BBIHH", 0, 0, 0xFFFFFFFF, 0xFFFF, 0xFFFF),
-}
-
-
-@levels.by_version
-@pytest.mark.parametrize("name", levels.few(HEADERS, ["announced sizes"]))
-def test_a_serial_dump_of_headers(folder, name):
-    """A megabyte in which each header says that 65,535 bytes follow; and the frame at its end."""
-    header = HEADERS[name]
-    path = folder / "headers.yapp"
-    message = {"id": 0x210, "seq": 0, "ctl": 0, "payload": bytes.fromhex(given.MOTOR), "wrong_crc": False}
-    good = make.serial_frame(message)
-    path.write_bytes(good + header * (2**20 // len(header)) + good)
-    for two in ((), ("-2",)):
-        done = tshark.run(*two, "-r", path, "-Y", "taurus.motor || _ws.lua.error", "-T", "fields", "-e",
-                          "taurus.motor.rpm_measured", "-e", "_ws.lua.error", limits=limits)
-        assert [line.endswith("\t") for line in done.stdout.splitlines()] == [True, True]
-
-
 def socketcan(can_id, length, flags, data):
     return struct.pack(">IBBH", can_id, length, flags, 0) + data
 
@@ -147,52 +88,6 @@ def test_lengths_above_the_record(folder, flags, arguments):
         struct.pack("<IIII", at, 0, len(one), len(one)) + one for at, one in enumerate(records)))
     each = len(HEADS) + 1
     assert set(range(each, len(records) + 1, each)) <= set(decoded(path, *arguments))
-
-
-# Preferences -------------------------------------------------------------------------------------------------------
-
-def test_link_types_of_others():
-    lines = said("-o", "yapp.user_dlt:0-162", "-r", tshark.CAPTURES / "can/document_command.pcap")
-    assert lines == ["yapp: preferences: yapp.user_dlt: link type 0 is no DLT_USER; those are 147 to 162"]
-
-
-# candump text ------------------------------------------------------------------------------------------------------
-
-MEGABYTE = 2**20
-LINES = {
-    "digits": b"0" * MEGABYTE,
-    "data": b"(1700000000.000000) can0 00000000#" + b"00" * MEGABYTE,
-    "name": b"(1700000000.000000) " + b"can" * MEGABYTE + b" 00000000#00",
-    "time": b"(" + b"1" * MEGABYTE + b".000000) can0 00000000#00",
-    "decimals": b"(1." + b"0" * MEGABYTE + b") can0 00000000#00",
-    "blanks": b"(1700000000.000000) can0 00000000#00" + b" " * MEGABYTE,
-    "brackets": b"(" * MEGABYTE,
-    "high bytes": b"\xff" * MEGABYTE,
-    "carriage returns": b"\r" * MEGABYTE,
-}
-COMMAND = b"(1700000000.000000) can0 00000000#015A014F80F380\n"
-
-
-@levels.by_version
-@levels.each_once
-@pytest.mark.parametrize("name", levels.few(LINES, ["data", "high bytes"]))
-@pytest.mark.parametrize("ended", [True, False], ids=["ended", "endless"])
-def test_candump_lines_of_a_megabyte(folder, name, ended):
-    """Skipped with one message; the frames around it are read."""
-    path = folder / "long.log"
-    path.write_bytes(COMMAND * 2 + LINES[name] + (b"\n" + COMMAND if ended else b""))
-    numbers, lines = decoded_and_said(path)
-    assert numbers == ([1, 2, 3] if ended else [1, 2])
-    assert len(lines) <= 3 and all(len(line) < 300 for line in lines)
-    assert any("line 3" in line and "not understood" in line for line in lines), lines
-
-
-def test_many_bad_candump_lines(folder):
-    """Not a message for each of them."""
-    path = folder / "bad.log"
-    path.write_bytes(COMMAND * 50 + b"(1700000000.000000) can0 00000000#0\n" * levels.size(10000, 100000) + COMMAND)
-    numbers, lines = decoded_and_said(path)
-    assert numbers == list(range(1, 52)) and len(lines) <= 20
 
 
 # Wireshark's own memory ----------------------------------------------------------------------------------------------

@@ -210,33 +210,6 @@ def test_the_environment(folder):
     assert loaded(folder, files, env={"YAPP_MESSAGES": str(path)}) == ("Named", [])
 
 
-def test_a_file_that_is_not_there(folder):
-    info, said = loaded(folder, {}, env={"YAPP_MESSAGES": "/no/such.lua"})
-    assert info.startswith("Command  Enabled")
-    assert len(said) == 1 and said[0].startswith("yapp: /no/such.lua: cannot be read: ") and said[0].endswith("; its messages are not decoded")
-
-
-def test_an_error_names_file_message_and_field_and_the_rest_works(folder):
-    text = ENTRY.format(name="mine", title="Mine", ident=5).replace('"uint8"', '"unit8"')
-    info, said = loaded(folder, {"yapp_messages.lua": text})
-    assert info.startswith("Command  Enabled")
-    assert len(said) == 1
-    assert said[0].startswith(f"yapp: {folder / PERSONAL}/yapp_messages.lua: message mine, field one: unknown type "
-                              '"unit8"; the types are ')
-    assert said[0].endswith("; this message is not decoded")
-
-
-def test_an_unknown_option_is_one_message(folder):
-    text = ENTRY.format(name="mine", title="Mine", ident=5).replace('"One"', '"One", units = "V"')
-    _, said = loaded(folder, {"yapp_messages.lua": text})
-    assert len(said) == 1 and 'message mine, field one: unknown option "units"; a row has alarm, flags,' in said[0]
-
-
-def test_no_catalogue_at_all(folder):
-    options, load = home_with(folder, {})
-    (folder / "plugin/taurus_fields.lua").unlink()
-    done = tshark.run(*load, "-r", COMMAND, **options)
-    assert "taurus_fields.lua: cannot be read: " in done.stderr
 
 
 def test_generated_values(folder):

@@ -72,16 +72,6 @@ function T.test_what_is_wrong_with_a_field_is_said()
   end
 end
 
-function T.test_filter_names_that_meet()
-  local _, problems = catalogue.compile { message({ size = 2, [2] = { "g", "uint8", "G", group = "f",
-    flags = { { "x", 1, "X" } } }, [3] = nil }) }
-  lu.assertEquals(problems, {})
-  _, problems = catalogue.compile { message({ size = 3,
-    [2] = { "g", "uint8", "G", group = "s", flags = { { "x", 1, "X" } } },
-    [3] = { "h", "uint8", "H", group = "s", flags = { { "x", 1, "X" } } } }) }
-  lu.assertStrContains(problems[1], "message m, field h: the filter name taurus.m.s.")
-end
-
 -- Wireshark's types of all filters of a message, with base and mask.
 function T.test_types_of_filters()
   local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 39, answers = "command",
@@ -102,13 +92,6 @@ function T.test_types_of_filters()
     ["g.names"] = "STRING", ["x.hot"] = "BOOLEAN 32 8", ["x.undefined"] = "UINT32 HEX", ["x.raised"] = "UINT32 HEX",
     ["x.cleared"] = "UINT32 HEX", ["x.active_time"] = "RELATIVE_TIME", ["x.previous_change"] = "FRAMENUM",
     ["x.next_change"] = "FRAMENUM" })
-end
-
-function T.test_digits_for_columns()
-  for unit, shape in pairs { RPM = "%.0f", V = "%.2f", A = "%.2f", W = "%.0f", ["°C"] = "%.0f", ["%"] = "%.0f" } do
-    local compiled = catalogue.compile { message(nil, { "f", "uint8", "F", scale = 0.5, unit = unit }) }
-    lu.assertEquals(compiled.messages[1].rounded[1].shape, shape, unit)
-  end
 end
 
 -- Of values with a unit whose digits are known; not of integers.

@@ -32,14 +32,6 @@ function T.test_floats()
   end
 end
 
-function T.test_the_ends_and_the_middle_are_exact()
-  local f = field("float16", -128, 128)
-  local values = { [0] = -128, [32765] = 0, [65530] = 128 }
-  for raw, value in pairs(values) do lu.assertEquals(field_kinds.value(f, raw), value) end
-  f = field("float16", -10, 5)
-  lu.assertTrue(field_kinds.value(f, 0) == -10 and field_kinds.value(f, 65530) == 5)
-end
-
 -- A message is recognised by its values only if enough of them can be wrong.
 function T.test_what_bytes_look_like()
   local taurus = catalogue.compile(dofile("taurus_fields.lua"))
@@ -132,17 +124,6 @@ function T.test_the_document_s_example()
   lu.assertEquals({ #remarks, remarks[1][2] }, { 1, "value.special" }) -- no thermistor on the ESC
 end
 
-function T.test_a_payload_that_is_cut()
-  for length = 0, #EXAMPLE do
-    local raws = MOTOR.read(EXAMPLE:sub(1, length))
-    for i, f in ipairs(MOTOR.fields) do
-      if f.kind ~= "time" then lu.assertEquals(raws[i] ~= nil, f.offset + f.size <= length) end
-    end
-    lu.assertStrContains(MOTOR.info(raws), " RPM")
-    lu.assertEquals(text_of.faults(MOTOR, raws), "")
-  end
-end
-
 function T.test_remarks()
   for hex, expected in pairs {
     ["01A5010000" .. "0000"] = "", ["005A000000" .. "0000"] = "",
@@ -155,21 +136,6 @@ function T.test_remarks()
       found[#found + 1] = remark[2]
     end
     lu.assertEquals(table.concat(found, " "), expected, hex)
-  end
-end
-
-function T.test_every_flag_bit_has_a_name_or_is_undefined()
-  for _, message in ipairs(TAURUS.messages) do
-    for _, f in ipairs(message.fields) do
-      for bit = 0, f.kind == "flags" and f.size * 8 - 1 or -1 do
-        local names = text_of.flag_names(f, 2 ^ bit)
-        local undefined = ("undefined 0x%x"):format(math.floor(2 ^ bit))
-        lu.assertTrue(names:find("^[a-z0-9_]+$") ~= nil or names == undefined, names)
-        local is_defined = false
-        for _, flag in ipairs(f.flags) do is_defined = is_defined or flag.mask == 2 ^ bit end
-        lu.assertEquals(is_defined, not names:find("undefined", 1, true))
-      end
-    end
   end
 end
 

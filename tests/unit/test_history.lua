@@ -113,20 +113,6 @@ function T.test_seq_gaps_where_seq_numbers()
   lu.assertEquals(missing(0, 128, 1), { "-", 127, 128 })
 end
 
--- One that came late was counted before it came, and counts nobody else.
-function T.test_messages_that_come_late_are_not_254_missing()
-  local function missing(...)
-    local messages = {}
-    for i, seq in ipairs { ... } do messages[i] = command(i, i / 10, nil, seq) end
-    return run(messages, "missing")
-  end
-  lu.assertEquals(missing(7, 9, 8, 10, 11), { "-", 1, "-", "-", "-" })
-  lu.assertEquals(missing(254, 0, 255, 1), { "-", 1, "-", "-" })
-  lu.assertEquals(missing(5, 6, 5, 7), { "-", "-", "-", "-" }) -- 5 once more
-  lu.assertEquals(missing(20, 12, 21), { "-", "-", "-" }) -- 8 behind
-  lu.assertEquals(missing(20, 11, 12), { "-", 246, "-" }) -- 9 behind, or 246 lost: the sender goes on from there
-end
-
 function T.test_a_reboot_begins_a_new_numbering_and_a_new_drift()
   local messages = { motor(1, 10, { clock = 100, seq = 200 }), motor(2, 11, { clock = 101.5, seq = 201 }),
     motor(3, 15, { clock = 1, seq = 0 }), motor(4, 16, { clock = 2.25, seq = 2 }) }
@@ -271,23 +257,6 @@ function T.test_the_latest_command_on_the_bus()
   lu.assertEquals(run({ bad, motor(3, 3) }, "command_in"), { "-", "-" })
 end
 
-function T.test_the_catalogue_says_which_messages_others_answer()
-  local answering = { messages = { { name = "a", answers = "b" }, { name = "b" }, { name = "command" } } }
-  local h = new { catalogue = answering }
-  local function note(number, message)
-    local m = { source = source_of("", message), seq = 0, key = number,
-      time = number, status = "good", raws = {}, payload = "" }
-    h:add(m)
-    return h:state(m).command_in
-  end
-  for i, message in ipairs(answering.messages) do
-    message.flag_fields = {}
-    lu.assertNil(note(i, message))
-  end
-  lu.assertEquals(note(4, answering.messages[1]), 2)
-  lu.assertNil(note(5, answering.messages[3]))
-end
-
 -- A random capture: the same seed gives the same messages.
 local function random_messages(seed, count)
   local state = seed
@@ -334,15 +303,6 @@ function T.test_a_revisit_gets_the_same_in_any_order()
       lu.assertEquals(looked_up(h, messages[i]), noted[i], ("seed %d, m %d"):format(seed, i))
     end
   end
-end
-
--- With -2 -R, a frame that was rejected and the next one have the same number: the later one counts.
-function T.test_a_number_that_comes_again()
-  local h = new()
-  h:add(motor(7, 1, { seq = 1 }))
-  lu.assertEquals(h:add(motor(8, 1.1, { seq = 3 })).missing, 1)
-  lu.assertNil(h:add(motor(8, 1.2, { seq = 4 })))
-  lu.assertNil(h:change(motor(8, 1.2, { seq = 4 })))
 end
 
 -- In an only pass memory grows with events, not with messages.

@@ -43,12 +43,11 @@ end
 function T.test_a_problem_is_said_once()
   local preferences, stderr = require("yapp.host.preferences"), io.stderr
   io.stderr = { write = function() said[#said + 1] = "in a terminal, too" end } -- luacheck: ignore
-  preferences.complain_once { "a", "b", "a" }
-  preferences.complain_once { "b", "c" }
-  preferences.complain_once {}
+  preferences.complain { "a", "b", "a" }
+  preferences.complain { "b", "c" }
   preferences.complain {}
   io.stderr = stderr -- luacheck: ignore
-  lu.assertEquals(said, { "YAPP: preferences: a\npreferences: b", "YAPP: preferences: c" })
+  lu.assertEquals(said, { "YAPP: a\nb", "YAPP: c" })
 end
 
 return T

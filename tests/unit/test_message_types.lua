@@ -116,20 +116,6 @@ function T.test_the_name_that_the_user_gave()
   lu.assertNil(r:new_source(5, 2, "can1").name)
 end
 
--- One entry for two firmwares.
-function T.test_sizes_of_two_firmwares()
-  local entries = dofile("taurus_fields.lua")
-  for _, entry in ipairs(entries) do
-    if entry.name == "motor" then entry.min_size = 30 end
-  end
-  local compiled = catalogue.compile(entries)
-  local r = types_of.new(compiled)
-  r:use(catalogue.assign(compiled, {}), (sources.parse("", compiled)), {}, ignore)
-  lu.assertEquals({ r:size_of(0x210) }, { 32, 30 })
-  local source = r:new_source(0x210, false)
-  lu.assertEquals({ source.size, source.min_size }, { 32, 30 })
-end
-
 -- A sender in UDP or TCP has the name of its address.
 function T.test_what_a_sender_is_called()
   local line = { label = "…12:40000" }

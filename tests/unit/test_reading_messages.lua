@@ -11,7 +11,7 @@ local types_of = require("yapp.message.types")
 local T = {}
 
 local TAURUS = catalogue.compile(dofile("taurus_fields.lua"))
-local COMMAND, MOTOR, HEALTH = TAURUS.by_id[0], TAURUS.by_id[0x210], TAURUS.by_id[0x200]
+local MOTOR, HEALTH = TAURUS.by_id[0x210], TAURUS.by_id[0x200]
 
 local function new_types(compiled)
   local types = types_of.new(compiled or TAURUS)
@@ -70,16 +70,6 @@ function T.test_what_a_message_gets()
     m = read(HEALTH, {}, with)
     lu.assertEquals({ m.raws, m.remarks[1] or false, m.undecoded }, { false, false, false })
   end
-end
-
--- Nothing adds a field to a message: what it may have is there from the start.
-function T.test_a_message_has_all_its_fields()
-  local full, keys = read(MOTOR, { [at(MOTOR, "fault_flags")] = 1 }, { size = 36, wants_state = true,
-    answer = { add = { late = 1 }, delta = 1, state = {} } }), {}
-  for key in pairs(full) do keys[#keys + 1] = key end
-  local plain = read(HEALTH, {}, { id = 0x123 })
-  for _, key in ipairs(keys) do lu.assertNotNil(plain[key], key) end
-  lu.assertTrue(#keys > 15)
 end
 
 -- A firmware that appended something: what the catalogue knows counts, the next message is clean.
@@ -147,30 +137,6 @@ function T.test_a_copy()
   lu.assertTrue(m.remarks.has_fault) -- it is decoded
   m = read(MOTOR, {}, { copy_of = 5, status = "truncated" }) -- its bytes prove nothing
   lu.assertFalse(m.copy_of)
-end
-
--- Several controllers share its source: the history says so, in order and on a revisit.
-function T.test_an_unreliable_source()
-  for _, visited in ipairs { false, true } do
-    local function is_unreliable(change)
-      local answer = { add = change, change = change, delta = 1 }
-      return read(HEALTH, {}, { answer = answer, visited = visited }).is_unreliable
-    end
-    lu.assertTrue(is_unreliable { shared = true, unreliable = true })
-    lu.assertTrue(is_unreliable { unreliable = true })
-    lu.assertFalse(is_unreliable { reboot = 3 })
-    lu.assertFalse(is_unreliable(nil))
-  end
-end
-
-function T.test_what_is_a_fault()
-  local fault, status, state = at(MOTOR, "fault_flags"), at(MOTOR, "status_flags"), at(MOTOR, "motor_state")
-  for _, row in ipairs { { {}, false }, { { [fault] = 1 }, true }, { { [fault + 2] = 0x08 }, true }, -- undefined
-    { { [status] = 2 }, false }, { { [state] = 0x1F }, false }, { { [state] = 0x20 }, true } } do
-    lu.assertEquals(read(MOTOR, row[1]).has_fault or false, row[2])
-  end
-  lu.assertFalse(read(MOTOR, { [fault] = 1 }, { status = "bad" }).has_fault)
-  lu.assertFalse(read(COMMAND).has_fault) -- a key that is none
 end
 
 return T

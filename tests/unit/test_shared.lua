@@ -11,7 +11,7 @@ local levels = require("levels")
 local T = {}
 
 local TAURUS = catalogue.compile(dofile("taurus_fields.lua"))
-local MOTOR, HEALTH, COMMAND = TAURUS.by_id[0x210], TAURUS.by_id[0x200], TAURUS.by_id[0]
+local MOTOR, HEALTH = TAURUS.by_id[0x210], TAURUS.by_id[0x200]
 local FAULTS = MOTOR.by_name.fault_flags.index
 
 -- Eight bytes, little endian, of a number of nanoseconds.
@@ -136,60 +136,6 @@ function T.test_dumps()
     local found = shared_at(messages, { lacks_clock = true })
     lu.assertEquals(found or "never", row[1] or "never", row[3])
   end
-end
-
--- From there on: nothing of this source, everything of the others.
-function T.test_the_history_is_silent_from_there_on()
-  local h, seen, number = new(), {}, 0
-  local function note(m)
-    local change, delta = h:add(m)
-    seen[#seen + 1] = { m, change or "none" }
-    return change, delta
-  end
-  local function next_number()
-    number = number + 1
-    return number
-  end
-  for i = 0, 40 do
-    local time = i * 0.1
-    if i ~= 20 then note(message(next_number(), time, 100 + time)) end
-    local fault, other_fault = i % 10 == 9 and 1 or 0, i >= 30 and 1 or 0
-    note(message(next_number(), time + 0.05, 7 + time, { fault = fault, seq = i * 3 % 256 }))
-    note(message(next_number(), time + 0.06, 50 + time, { source = "other", fault = other_fault }))
-    note {
-      source = source_of("commands", COMMAND),
-      key = next_number(),
-      seq = i > 30 and i + 1 or i, -- 31 is missing
-      time = time + 0.07,
-      status = "good",
-      payload = "",
-      raws = {},
-    }
-  end
-  local counts = { shared = 0 }
-  for _, row in ipairs(seen) do
-    local m, change = row[1], row[2]
-    lu.assertEquals(h:change(m) or "none", change)
-    local is_unreliable = false
-    if change ~= "none" then
-      is_unreliable = change.unreliable or false
-      local what = change.unreliable and "unreliable" or change.flags and "flags"
-        or change.missing and "missing" or "else"
-      local name = m.source.name .. " " .. what
-      counts[name] = (counts[name] or 0) + 1
-      if change.shared then counts.shared = counts.shared + 1 end
-    end
-    lu.assertEquals(h:state(m) == nil, is_unreliable)
-  end
-  lu.assertEquals(counts, {
-    shared = 1,
-    ["528 else"] = 2, -- a reboot, and a jump back
-    ["528 unreliable"] = 81 - 3, -- from the fourth on
-    ["other flags"] = 1,
-    ["commands missing"] = 1,
-  })
-  local _, delta = h:add(message(next_number(), 9, 7))
-  lu.assertAlmostEquals(delta, 9 - 4.05, 1e-9) -- a fact of the bus, whoever sent
 end
 
 -- Flights ----------------------------------------------------------------------------------------

@@ -146,17 +146,6 @@ function T.test_digits_of_compressed_floats()
   end
 end
 
-function T.test_a_payload_of_another_size_has_the_cells_that_it_has()
-  local m = message(3, { "a", "uint16", "A" }, { "b", "uint8", "B" })
-  lu.assertEquals({ row_of(m, "\1"), row_of(m, "\1\2"), row_of(m, "\1\2\3more") },
-    { ",", "513,", "513,3" })
-end
-
-function T.test_padding()
-  local m = message(8, { "a", "uint8", "A" }, { "gap", "padding", length = 3 }, { "b", "uint32", "B" })
-  lu.assertEquals({ shown(m, "01ffffff02000000"), #m.fields }, { "1,2", 2 })
-end
-
 -- The generated values of a payload, "-" for none.
 local function generated(m, hex)
   local raws, values = m.read(bytes(hex)), {}
@@ -228,21 +217,6 @@ function T.test_names_of_columns_that_are_taken()
   local names = {}
   for i, column in ipairs(text_of.columns(m)) do names[i] = column.name end
   lu.assertEquals(names, { "time_2", "id_2", "x", "x_text", "x_text_2" })
-end
-
-function T.test_types_of_columns()
-  local m = message(31, { "b", "int64_ns", "B" }, { "c", "string", "C", length = 2 },
-    { "d", "bytes", "D", length = 2 }, { "e", "uint8", "E", unit = "m" },
-    { "f", "uint8", "F", scale = 0.5, unit = "K" },
-    { "g", "float32", "G" }, { "h", "float8", "H", min = 0, max = 1, unit = "V" }, { "i", "int8", "I", values = {} },
-    { "j", "uint8", "J", group = "j", flags = { { "x", 1, "X" } } }, { "k", "padding", length = 10 } )
-  local found = {}
-  for i, column in ipairs(text_of.columns(m)) do
-    found[i] = ("%s %s %s"):format(column.name, column.type, column.unit or "-")
-  end
-  lu.assertEquals(found, { "b time s", "c string -", "d string -", "e integer m", "f float K", "g float -",
-    "g_special string -", "h float V", "h_special string -", "i integer -", "i_text string -", "j integer -",
-    "j_x bool -" })
 end
 
 -- What a reader needs for the type of a column, and what its numbers mean.

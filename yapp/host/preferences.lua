@@ -9,29 +9,22 @@ local M = {}
 local unpack = rawget(table, "unpack")
 local FIRST_DLT, LAST_DLT = 147, 162 -- DLT_USER0 .. DLT_USER15
 
---- Show problems to the user: in one dialog in Wireshark, on stderr in tshark.
--- texts  list
-function M.complain(texts)
-  if #texts == 0 then return end
-  if gui_enabled() and report_failure then
-    report_failure("YAPP: " .. table.concat(texts, "\n"))
-    return
-  end
-  for _, text in ipairs(texts) do io.stderr:write("yapp: " .. text .. "\n") end
-end
-
 local is_said = {} -- by text
 
---- Show errors in the preferences, each text once, although they are read with each file.
+--- Show problems to the user, each text once, although preferences are read with each file: in one
+-- dialog in Wireshark, on stderr in tshark.
 -- texts  list
-function M.complain_once(texts)
+function M.complain(texts)
   local new = {}
-  for _, problem in ipairs(texts) do
-    local text = "preferences: " .. problem
+  for _, text in ipairs(texts) do
     if not is_said[text] then new[#new + 1] = text end
     is_said[text] = true
   end
-  M.complain(new)
+  if new[1] and gui_enabled() and report_failure then
+    report_failure("YAPP: " .. table.concat(new, "\n"))
+    return
+  end
+  for _, text in ipairs(new) do io.stderr:write("yapp: " .. text .. "\n") end
 end
 
 --- Set preferences, in Wireshark.
@@ -42,9 +35,9 @@ function M.set(values)
   redissect_packets()
 end
 
---- Return whether M.complain_once has shown a text.
+--- Return whether M.complain has shown a text.
 function M.has_said(text)
-  return is_said[text] or false
+  return is_said[text]
 end
 
 --- Give a protocol its preferences.
