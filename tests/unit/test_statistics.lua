@@ -6,6 +6,7 @@ local lu = require("luaunit")
 local cpu = require("cpu")
 local catalogue_of = require("yapp.message.catalogue")
 local input = require("yapp.base.input")
+local joined = require("yapp.base.joined")
 local kinds_of = require("yapp.stat.kinds")
 local events_of = require("yapp.stat.events")
 local measures_of = require("yapp.stat.rules")
@@ -108,7 +109,7 @@ end
 local function run(arguments, records, with)
   with = with or {}
   local settings = settings_of(with)
-  local printed, queue, matched = {}, run_of.new(settings, stamps_of.new(), with.hint), {}
+  local printed, queue = {}, run_of.new(settings, stamps_of.new(), with.hint)
   for _, argument in ipairs(arguments) do
     local options = options_of.parse("yapp," .. argument, settings.catalogue)
     if not argument:find("^check") then lu.assertEquals(options.problems, {}) end
@@ -117,22 +118,21 @@ local function run(arguments, records, with)
       json = options.json }
     local ok, statistic = pcall(options.row.new, options, context)
     if not ok then return nil, nil, { statistic } end
-    options.filter = with.matches
-    matched = queue:add(statistic, options).matched
+    options.matched = with.matches
+    queue:add(statistic, options)
   end
   queue.dates:set_first(with.epoch or 1700000000, 5, 0)
   local function has_clock() return not with.lacks_clock end
   add_faults(records)
   for _, one in ipairs(records) do
     queue:report(result_of(one))
-    if with.matches and with.matches[one.frame] then rawset(matched, one.frame, true) end
     queue:packet(one.frame, one.time, has_clock)
   end
   if with.last then queue:packet(9999, with.last, has_clock) end
   local results = {}
   for i, one in ipairs(with.unfinished or {}) do results[i] = result_of(one) end
   local code, texts = queue:finish { results = results, drops = with.drops or {},
-    problems = { with.unread }, unread = with.unread,
+    problems = joined(settings.problems, { with.unread }), unread = with.unread,
     lacks_times = with.lacks_times, extended = with.extended or 0 }
   return table.concat(printed), code, texts
 end
@@ -1213,21 +1213,6 @@ function T.test_a_source_that_two_controllers_share()
   lu.assertEquals(verdicts("shared=0,fault=0,motor.gap=9,motor.rate=1,crc=0", records), { "shared=0 left false 1 2",
     "fault=0 left null 0 null", "motor.gap=9 left null 0.1 2", "motor.rate=1 left null 10 3", "crc=0 left true 0 null",
     "unknown=0 null true 0 null" })
-end
-
--- A recorder gives one source the same stamp for ever: how long its faults lasted is not known, and that is said.
-function T.test_a_source_whose_stamps_stand_still()
-  local cleared = { flags = { { field = FAULT, value = 0, raised = 0, cleared = 1 } } }
-  local records = { record(1, 1, { change = raised(1, 1) }), record(2, 1), record(3, 1, { change = cleared }),
-    record(4, 1, { source = HEALTHY }), record(5, 2, { source = HEALTHY }) }
-  local text = "time stamps of can0 0x210 stand still or go back: how long faults, gaps and silences lasted is not known, " ..
-    "and a message that was recorded twice counts twice"
-  for _, row in ipairs { { 2, text }, { 0, nil } } do -- or all of it in one packet
-    for i, one in ipairs(records) do one.frame = row[1] > 0 and i or 1 end
-    local printed, _, texts = run({ "faults,json" }, records)
-    lu.assertEquals(lines(printed)[2]:match('"active":([^,]*)'), row[2] and "null" or "0.000000000")
-    lu.assertEquals(texts[1] == text, row[2] == text)
-  end
 end
 
 -- 400,000 blanks within a rule: neither reading it nor printing it tries each blank as the last one.

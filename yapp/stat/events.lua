@@ -94,6 +94,8 @@ function M.append(list, result)
     append_message(list, frame, result.message)
   elseif kind == "skipped" then
     append(list, kind, frame, { length = result.length })
+  elseif kind == "bus_errors" then
+    append(list, kind, frame, { reports = result.reports })
   elseif kind == "undissected" then
     append(list, kind, frame, { size = result.length }, frame)
   elseif kind == "unfinished" then

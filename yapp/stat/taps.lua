@@ -5,7 +5,6 @@
 local buses_of = require "yapp.stat.buses"
 local command = require "yapp.capture.command_line"
 local joined = require "yapp.base.joined"
-local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
 local options_of = require "yapp.stat.options"
 local output = require "yapp.stat.output"
@@ -19,7 +18,8 @@ local HAS_SHELL = package.config:sub(1, 1) == "/"
 local DEFAULT_WIDTH, DEFAULT_HEIGHT = 80, 24 -- of a terminal
 local STEP = 10000 -- packets from one note of progress to the next
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
-local MAY_GO_ON = gui_enabled() and not yapp_is_whole -- a live capture; a page opens whole ones
+local MAY_GO_ON = not (IS_TSHARK or yapp_is_whole) -- a live capture; a page opens whole ones
+local HINT = "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
 local FAILED = "the plugin failed, so the answer is incomplete: %s, see the filter _ws.lua.error"
 local UNREAD = "only %d of %d packets were read, as the reading was stopped, or another window " ..
   "read: press Refresh"
@@ -63,16 +63,8 @@ Stat.__index = Stat
 function M.new(parts)
   parts.show = nil -- in Wireshark: function(text), which opens the window of an argument of -z
   parts.on_progress = nil -- while a window of Wireshark waits for an answer
-  parts.total = 0 -- in Wireshark: number of packets in the capture, see count_packets
+  parts.total = 0 -- in Wireshark: number of packets in the capture
   return setmetatable(parts, Stat)
-end
-
--- Output ----------------------------------------------------------------------------------------
-
--- Return the hint if tshark has a display filter.
-local function hint_of(options)
-  local is_there = options.Y or options["display-filter"]
-  return is_there and "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
 end
 
 local function print_error(text)
@@ -89,55 +81,53 @@ end
 
 -- Taps ------------------------------------------------------------------------------------------
 
--- A tap of the packets that a filter lets through, nil for all.
-local function add_tap(self, filter)
+-- Tap the packets that a filter lets through, nil for all.  Return the tap.
+-- call  function(pinfo, tvb), which Stat.counted wraps
+local function add_tap(self, filter, call)
   local tap = Listener.new("frame", filter)
   table.insert(self.taps, tap)
+  if call then tap.packet = self.counted(call) end
   return tap
 end
 
--- The tap that sees every packet.
+-- Tap all packets: ask nothing of a packet that need not be.  tshark numbers them as they come.
 local function tap_packets(self)
-  local tap, is_waiting = add_tap(self), IS_TSHARK
+  local tap, is_waiting, run = add_tap(self), IS_TSHARK, self.current
   local calls, buses, frames, asker = self.calls, self.buses, self.frames, self.wants
   local function has_clock() return select(2, buses:has_times()) end
 
-  -- Every packet comes here, so nothing else is called that need not be.
   function tap.packet(pinfo)
+    local number = run.packets + 1
     -- Packets that come while Wireshark revisits those of a live capture are revisited, too.
-    if not IS_TSHARK and pinfo.number ~= self.current.packets + 1 then return end
+    if not IS_TSHARK and pinfo.number ~= number then return end
     calls.begun = calls.begun + 1
-    if frames.refused then frames:count_refused(pinfo.number) end
-    local wants = is_waiting and asker.first_pass -- known once a packet has YAPP
-    if wants then
+    if number == 1 then run.dates:set_first(buses:begin(pinfo)) end
+    if frames.refused then frames:count_refused(number) end
+    if is_waiting and asker.first_pass then -- known once a packet has YAPP
       is_waiting = false
       -- A tap that is called before the last packet is dissected is so in tshark's only pass.
-      if not frames:is_second_pass(pinfo.number) then
+      if not frames:is_second_pass(number) then
         asker:set_only_pass()
-        self.headers:stop() -- see tap_bus_errors
+        self.headers:stop() -- see ERROR_FRAMES
       end
     end
-    if self.current.packets == 0 then
-      local seconds, nanoseconds = buses:begin(pinfo)
-      self.current.dates:set_first(seconds, nanoseconds)
-    end
-    self.current:packet(pinfo.number, pinfo.rel_ts, has_clock)
+    run:packet(number, pinfo.rel_ts, has_clock)
     calls.ended = calls.ended + 1
   end
 
   -- All packets will be revisited.  In Wireshark another window that wants to read while this
   -- statistic reads resets all taps, too, although Wireshark then goes on with this reading.
   function tap.reset()
-    if not IS_TSHARK and self.current.packets > 0 then return end
-    self.current:reset()
-    self.frames:begin_count()
+    if not IS_TSHARK and run.packets > 0 then return end
+    run:reset()
+    frames:begin_count()
   end
 end
 
 -- Tap the CAN frames that a filter lets through.
 -- on_frame  function(source of the bus, pinfo, tvb)
 local function tap_can(self, filter, on_frame)
-  add_tap(self, filter).packet = self.counted(function(pinfo, tvb)
+  add_tap(self, filter, function(pinfo, tvb)
     on_frame(self.bus_sources[self.buses.bus_of(pinfo.number, pinfo) or false], pinfo, tvb)
   end)
 end
@@ -146,9 +136,11 @@ end
 local function tap_bus_errors(self)
   self.bus_sources = memo(function(bus) return { bus = self.buses:name(bus or nil) } end)
   tap_can(self, ERROR_FRAMES, function(source, pinfo, tvb)
-    local values = { reports = buses_of.read_error(tvb:raw()) }
-    self.current:add_bus_error(
-      kinds.new_event("bus_errors", pinfo.number, pinfo.rel_ts, source, values))
+    self.current:report {
+      kind = "bus_errors",
+      frame = { number = pinfo.number, time = pinfo.rel_ts, source = source },
+      reports = buses_of.read_error(tvb:raw()),
+    }
   end)
 end
 
@@ -157,7 +149,7 @@ local function tap_refused(self)
   local drop = { count = 0 } -- as of Capture:drops
   self.refused = drop
   if not REFUSES_FRAMES then return end
-  add_tap(self, OF_REFUSED).packet = self.counted(function(pinfo)
+  add_tap(self, OF_REFUSED, function(pinfo)
     drop.count = drop.count + 1
     drop.frame, drop.time = drop.frame or pinfo.number, drop.time or pinfo.abs_ts
   end)
@@ -175,8 +167,10 @@ local function tap_frames(self, statistic, filter)
 end
 
 local function open(self)
-  self.command = command.options()
-  self.current, self.taps = run_of.new(self.settings, self.buses.stamps, hint_of(self.command)), {}
+  local options = command.options()
+  local hint = (options.Y or options["display-filter"]) and HINT or nil
+  self.options, self.taps = options, {}
+  self.current = run_of.new(self.settings, self.buses.stamps, hint)
   self.reading:listen(self.current)
   self.frames:begin_count()
   self.watch()
@@ -192,7 +186,7 @@ end
 
 -- Return whether -c may have stopped the reading of a file.
 local function is_stopped(self, packets)
-  local options, in_file = self.command, self.buses.found.count
+  local options, in_file = self.options, self.buses.found.count
   local limit = options.r and tonumber(options.c)
   if not limit or in_file > 0 and in_file <= limit then return false end
   return packets >= limit or options.R ~= nil -- a read filter leaves out some
@@ -200,7 +194,7 @@ end
 
 -- Return why packets of the capture were not read, nil if all were.
 local function explain_unread(self)
-  local packets, unread, options = self.current.packets, self.current.unread, self.command
+  local packets, unread, options = self.current.packets, self.current.unread, self.options
   if packets < self.total then return UNREAD:format(packets, self.total) end -- in Wireshark
   local count = output.count(packets, "packet")
   if options.b or options["ring-buffer"] then return GOES_ON:format(count) end
@@ -220,29 +214,22 @@ end
 -- End all statistics; return the exit code, and a list of texts to say.
 local function finish(self)
   local failures, unread = self.calls.begun - self.calls.ended, explain_unread(self)
-  local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
   local reading, buses, drop = self.reading, self.buses, self.refused
-  local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
+  local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
   local refused = drop.count > 0 and REFUSED:format(output.count(drop.count, "packet")) or nil
+  local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
   return self.current:finish {
     results = reading:finish(MAY_GO_ON),
     drops = joined(buses:drops(), reading:drops(), { refused and drop }),
     lacks_times = not buses:has_times(),
     extended = self.frames.refused_count,
-    problems = joined({ failed }, { unread }, { reloaded }, { refused },
+    problems = joined(self.settings.problems, { failed }, { unread }, { reloaded }, { refused },
       { explain_undecoded(self) }),
     unread = unread and "not all packets were read",
   }
 end
 
 -- Functions from here on raise errors.
-
-local function tap_filter(self, filter)
-  local ok, tap = pcall(add_tap, self, filter)
-  if ok then return tap end
-  local why = tostring(tap):match("is invalid %- (.*)$") or tap -- before that a line in this file
-  error(("the filter %s is not one: %s"):format(filter, why), 0)
-end
 
 -- The terminal --------------------------------------------------------------------------------
 
@@ -257,7 +244,6 @@ end
 -- Let a live statistic draw in the terminal, if there is one, and end the run.
 local function add_terminal(self, options, context)
   options.json = options.json or not (HAS_SHELL and os.execute("test -t 1"))
-  context.json = options.json
   context.terminal = {
     size = terminal_size,
     has_no_color = (os.getenv("NO_COLOR") or "") ~= "",
@@ -282,22 +268,27 @@ end
 -- Begin the statistic of an argument of -z.
 -- context  { out, frames } of output.print
 local function begin_statistic(self, text, context)
-  local options, events = options_of.parse(text, self.settings.catalogue), self.current
+  local options, run = options_of.parse(text, self.settings.catalogue), self.current
   -- In tshark, check names errors in its report, too.
   if options.problems[1] and (context.frames or options.what ~= "check") then
     error(table.concat(options.problems, "\n"), 0)
   end
-  local filter = options.filter and tap_filter(self, options.filter)
-  context.dates, context.settings = events.dates, self.settings
-  context.json, context.make_folder = options.json, make_folder
-  if options.row.is_live and not context.frames then add_terminal(self, options, context) end
-  local statistic = options.row.new(options, context)
-  local reads_frames = options.row.reads_frames or options.bitrate
-  if reads_frames then tap_frames(self, statistic, options.filter) end
-  local deriver = events:add(statistic, options)
+  local filter, row = options.filter, options.row
   if filter then
-    filter.packet = self.counted(function(pinfo) deriver.matched[pinfo.number] = true end)
+    local matched = {}
+    options.matched = matched
+    local ok, problem = pcall(add_tap, self, filter, function(pinfo)
+      matched[pinfo.number] = true
+    end)
+    local why = ok or tostring(problem):match("is invalid %- (.*)$") or problem
+    if not ok then error(("the filter %s is not one: %s"):format(filter, why), 0) end
   end
+  context.dates, context.settings, context.make_folder = run.dates, self.settings, make_folder
+  if row.is_live and not context.frames then add_terminal(self, options, context) end
+  context.json = options.json
+  local statistic = row.new(options, context)
+  if row.reads_frames or options.bitrate then tap_frames(self, statistic, filter) end
+  run:add(statistic, options)
 end
 
 --- Run a statistic over all packets, in Wireshark.
@@ -320,9 +311,9 @@ function Stat:run(text, on_progress)
   self.is_reading, self.on_progress = false, nil
   local answer = table.concat(said)
   for _, problem in ipairs(ok and texts or { tostring(texts) }) do
-    if not answer:find(problem, 1, true) then out(problem .. "\n") end
+    if not answer:find(problem, 1, true) then answer = answer .. problem .. "\n" end
   end
-  return table.concat(said), frames
+  return answer, frames
 end
 
 -- tshark ----------------------------------------------------------------------------------------
@@ -338,8 +329,11 @@ local function conclude(self)
     texts[#texts + 1] = "standard output: " .. problem
     if code == output.EXIT_OK then code = output.EXIT_UNDECIDED end
   end
+  local is_said = {} -- by line
   for line in table.concat(texts, "\n"):gmatch("[^\n]+") do
-    if not preferences.has_said((line:gsub("^check: ", ""))) then print_error(line) end
+    local is_known = is_said[line] or preferences.has_said((line:gsub("^check: ", "")))
+    if not is_known then print_error(line) end
+    is_said[line] = true
   end
   -- Other -z statistics of this run lose the rest of their output: the exit code matters more.
   if code ~= output.EXIT_OK then os.exit(code) end
@@ -358,34 +352,11 @@ local function begin_argument(self, text)
   end })
 end
 
--- Count the packets of a capture in Wireshark, where the user may stop a statistic's reading, and
--- tell its window how far that is.
--- on_packets  function(), to be called when some have come
-local function count_packets(self, on_packets)
-  local tap = Listener.new("frame")
-  function tap.packet(pinfo)
-    local number = pinfo.number
-    if number > self.total then self.total = number end
-    if self.on_progress and number % STEP == 0 then self.on_progress(number) end
-  end
-  function tap.draw()
-    on_packets()
-    self.unwatch()
-  end
-end
-
 --- Forget the capture file.  A live capture with -b may go on in another one, of which tshark
 -- analyses no more than a few packets.
 function Stat:reset()
   self.total = 0
   if IS_TSHARK and self.current and self.current.packets > 0 then self.current:stop() end
-end
-
---- Register the menus of Wireshark.
-function Stat:register_menus()
-  local on_packets
-  self.show, on_packets = windows.register(self)
-  count_packets(self, on_packets)
 end
 
 --- Begin the statistic of an argument of -z.
@@ -396,6 +367,22 @@ function Stat:begin(text)
   if not ok then
     print_error(tostring(problem))
     os.exit(output.EXIT_UNDECIDED)
+  end
+end
+
+--- Register the menus of Wireshark, and count the packets of a capture there, where the user may
+-- stop a statistic's reading; its window is told how far that is.
+function Stat:register_menus()
+  local tap, show, on_packets = Listener.new("frame"), windows.register(self)
+  self.show = show
+  function tap.packet(pinfo)
+    local number = pinfo.number
+    if number > self.total then self.total = number end
+    if self.on_progress and number % STEP == 0 then self.on_progress(number) end
+  end
+  function tap.draw()
+    on_packets()
+    self.unwatch()
   end
 end
 
