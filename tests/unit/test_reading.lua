@@ -118,8 +118,7 @@ local function visit(capture, one, with)
     frame[name] = with[name] or false
   end
   frame.is_bus_known = with.is_bus_known ~= false
-  local result = frame.visited and capture.reading:recall(frame) or nil
-  if not frame.visited then result = capture.reading:read(frame) end
+  local result = capture.reading:read(frame)
   assert_named(result)
   return result
 end
@@ -349,8 +348,7 @@ local function visit_packet(capture, kind, bytes, with)
     length = #bytes + (with.truncated or 0),
     truncated = with.truncated ~= nil, line = line,
     seq = with.seq, is_bus_known = true, is_only_pass = false, wants_state = false }
-  if with.visited then return capture.reading:recall_packet(packet) end
-  return capture.reading:add_packet(packet)
+  return capture.reading:read_packet(packet)
 end
 
 local function results_in_words(contents)
@@ -414,8 +412,8 @@ function T.test_skipped_bytes_of_a_dump()
   local capture = new_capture()
   local line = capture.reading.lines:of(lines.UDP, "", 0, "", 0)
   local packet = { key = 7 * frame_key.PACKET, number = 7, time = 0, visited = false, bytes = "?????", length = 5,
-    line = line, is_bus_known = true }
-  local contents = capture.reading:add_skipped(packet)
+    line = line, is_bus_known = true, is_skipped = true }
+  local contents = capture.reading:read_packet(packet)
   lu.assertEquals({ results_in_words(contents), contents.results[1].transfer.offset }, { "skipped 5", 0 })
   lu.assertEquals(capture.events, { "skipped line @7" })
 end

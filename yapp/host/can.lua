@@ -83,7 +83,7 @@ end
 -- accepts_all  true if the user says that every extended frame is YAPP
 -- returns      the number of bytes that are ours, 0 for a frame that is not
 function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
-  local frame, reading = self.frame, self.reading
+  local frame = self.frame
   fill(self, frame, tvb, pinfo, id)
   frame.accepts_all = accepts_all
   -- A frame above the newest one is new, and in tshark's first pass all frames want the same.
@@ -92,7 +92,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
   if not is_new or wants ~= self.asked then wants = ask(self, frame, pinfo, tree) end
   if frame.reported == 0 or ZEROS[frame.data] and is_remote(self, frame, pinfo) then return 0 end
   if is_new then self.newest_key = key end
-  local result = (frame.visited and reading.recall or reading.read)(reading, frame)
+  local result = self.reading:read(frame)
   if not result then
     self:remember(tvb, pinfo, id)
     return 0

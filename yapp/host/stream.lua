@@ -124,16 +124,14 @@ end
 --   is_only_pass  true if it is never dissected again
 --   wants_state   true if the state of its messages is wanted }
 local function dissect(self, packet, tvb, pinfo, tree)
-  local reading, number, visited = self.reading, pinfo.number, pinfo.visited
+  local number, visited = pinfo.number, pinfo.visited
   local wants = self.wants:ask(tree, pinfo, visited)
   packet.key = number * PACKET + offset_of(tvb) + packet.start
   packet.number, packet.visited, packet.time = number, visited, pinfo.rel_ts
   packet.truncated = packet.length > #packet.bytes
   if packet.truncated or packet.line.is_tcp then packet.epoch = pinfo.abs_ts end
   packet.is_only_pass, packet.wants_state = wants.is_only_pass, wants.state
-  local read = visited and reading.recall_packet or reading.add_packet
-  if packet.is_skipped then read = reading.add_skipped end
-  local contents = read(reading, packet)
+  local contents = self.reading:read_packet(packet)
   if not contents then return false end
   self.number = number
   self.view:show_packet(packet, contents, wants, wants.tree and tvb_of(packet, tvb), pinfo, tree)

@@ -6,7 +6,7 @@
 --                             ├─► transfer ─► message ─► result ─► listener
 --   packet ─► serial.stream ──┘        (values, copy or not, history)
 --
--- On a revisit, recall and recall_packet return the same result.
+-- On a revisit, it returns the same result.
 
 local can_id = require "yapp.wire.can_id"
 local copies = require "yapp.reading.copies"
@@ -150,44 +150,36 @@ end
 
 -- CAN ---------------------------------------------------------------------------------------------
 
--- Return the result of a frame, and report it.
--- kind ...  of can.reassembly
-local function new_frame_result(self, frame, kind, transfer, anomalies)
+-- Set source and slot of a frame; return what reassembly says of it.
+local function reassemble(self, frame)
+  local fields, bus, fragments = frame.can_id, frame.bus, self.reassembly
+  frame.source, frame.seq = self.sources[bus][fields.id], fields.seq
+  frame.slot = fields.message_key + (bus or 0) * BUS
+  local look = frame.visited and fragments.recall or fragments.add
+  local kind, transfer, anomalies = look(fragments, frame)
+  if transfer then frame.source = transfer.source end
+  return kind, transfer or false, anomalies or false
+end
+
+--- Read the next frame of the capture, and report its result; recall the result on a revisit.
+-- frame    see reading.records
+-- returns  its result, which is used again for the next frame; nil for a frame that is not YAPP's
+function Reading:read(frame)
+  local kind, transfer, anomalies = reassemble(self, frame)
   if not kind then return nil end
   local result, message, is_usual = self.result, false, true
-  frame.seq = frame.can_id.seq
   if kind == "last" or kind == "single" then
     message, is_usual = self:read_message(frame, transfer)
     if message.has_fault then reassembly.mark_fault(transfer) end
   end
   result.kind = kind
   result.frame = frame
-  result.transfer = transfer or false
+  result.transfer = transfer
   result.message = message
-  result.anomalies = anomalies or false
+  result.anomalies = anomalies
   result.is_usual = is_usual and not anomalies and #frame.data == frame.reported
   if kind == "fragment" and not anomalies then return result end -- no statistic counts it
   return report(self, result)
-end
-
---- Read the next frame of the capture.
--- frame  see reading.records
--- returns    its result, which is used again for the next frame; nil for a frame that is not YAPP's
-function Reading:read(frame)
-  local fields, bus = frame.can_id, frame.bus
-  local slot = fields.message_key
-  if bus then slot = slot + bus * BUS end
-  frame.source, frame.slot = self.sources[bus][fields.id], slot
-  return new_frame_result(self, frame, self.reassembly:add(frame))
-end
-
---- Recall a frame that was read before.
--- returns  as Reading:read
-function Reading:recall(frame)
-  frame.source = self.sources[frame.bus][frame.can_id.id]
-  local kind, transfer, anomalies = self.reassembly:recall(frame)
-  if transfer then frame.source = transfer.source end
-  return new_frame_result(self, frame, kind, transfer, anomalies)
 end
 
 -- Return the payload size of the message that a single frame may be; nil for none.
@@ -253,12 +245,27 @@ local function finding_result(self, packet, finding, index)
   return result
 end
 
--- Return the result of a packet: its contents, as serial.stream has them, with the results of its
--- findings.
-local function new_packet_result(self, packet, contents)
-  local results, findings = {}, contents.findings
-  for i = 1, #findings do
-    results[i] = report(self, finding_result(self, packet, findings[i], i))
+--- Read the next packet of the capture, and report its results; recall them on a revisit.
+-- packet   see host.stream
+-- returns  { results = list of a result for each frame, and for each stretch of bytes of no frame;
+--          pending, leads_to = see serial.stream; is_unfinished = on a revisit:
+--          true if the capture ends before the frame that the pending bytes begin }; nil for a
+--          packet that is not YAPP's: a datagram of others in a conversation that was found by
+--          content
+function Reading:read_packet(packet)
+  local contents
+  if packet.is_skipped then
+    local finding = { status = "skipped", from = 0, to = #packet.bytes }
+    contents = { findings = { finding }, pending = 0 }
+  elseif packet.visited then
+    contents = self.streams:find(packet)
+  else
+    contents = self.streams:add(packet, not packet.is_only_pass)
+  end
+  if not contents then return nil end
+  local results = {}
+  for i, finding in ipairs(contents.findings) do
+    results[i] = report(self, finding_result(self, packet, finding, i))
   end
   return {
     results = results,
@@ -266,30 +273,6 @@ local function new_packet_result(self, packet, contents)
     leads_to = contents.leads_to,
     is_unfinished = packet.visited and self.streams:is_unfinished(contents, packet),
   }
-end
-
---- Add the next packet of the capture.
--- packet   see host.stream
--- returns  { results = list of a result for each frame, and for each stretch of bytes of no frame;
---          pending, leads_to = see serial.stream; is_unfinished = on a revisit:
---          true if the capture ends before the frame that the pending bytes begin }; nil for a
---          datagram of others in a conversation that was found by content
-function Reading:add_packet(packet)
-  local contents = self.streams:add(packet, not packet.is_only_pass)
-  return contents and new_packet_result(self, packet, contents)
-end
-
---- Return the result of Reading:add_packet; nil for a packet that was not added.
-function Reading:recall_packet(packet)
-  local contents = self.streams:find(packet)
-  return contents and new_packet_result(self, packet, contents)
-end
-
---- Add a packet of a raw dump whose bytes are of no frame.
--- returns  as of Reading:add_packet
-function Reading:add_skipped(packet)
-  local finding = { status = "skipped", from = 0, to = #packet.bytes }
-  return new_packet_result(self, packet, { findings = { finding }, pending = 0 })
 end
 
 -- The end -----------------------------------------------------------------------------------------

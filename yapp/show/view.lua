@@ -410,7 +410,7 @@ end
 
 --- Show the contents of a packet.
 -- packet    see host.stream
--- contents  of Reading:add_packet
+-- contents  of Reading:read_packet
 -- wants     of show.wants
 -- tvb       where its bytes are, if a tree is wanted
 function View:show_packet(packet, contents, wants, tvb, pinfo, tree)
