@@ -13,10 +13,10 @@ local output = require "yapp.stat.output"
 
 local M = {}
 
-local byte, find, span = string.byte, string.find, kinds.span
+local span = kinds.span
 local CONTROLLER = 0x04 -- class: the controller's state follows
 local EXTENDED, REMOTE = 0x80, 0x40 -- flags in the highest byte of the id
-local NEAR = 1 -- seconds
+local ENDED = 1 -- seconds behind which a report without a state is a new one
 
 -- What an error frame may report, the gravest first: of these `buses` counts one a frame.
 -- bits   of its class; above these, those of the controller's state
@@ -42,9 +42,9 @@ for i, report in ipairs(REPORTS) do NAMES[i] = report.name end
 -- returns  the flags in its highest byte, its lower 16 bits, the length; nil if it is cut; and the
 --          second data byte
 local function read_record(packet)
-  local is_cooked_1 = #packet > 16 and find(packet, "^\0[\0-\4]\1\24")
-  local offset = find(packet, "^\0[\12\13]......\1\24") and 20 or is_cooked_1 and 16 or 0
-  local a, b, c, d, length, _, _, _, _, second = byte(packet, offset + 1, offset + 10)
+  local offset = packet:find("^\0[\12\13]......\1\24") and 20 or
+    #packet > 16 and packet:find("^\0[\0-\4]\1\24") and 16 or 0
+  local a, b, c, d, length, _, _, _, _, second = packet:byte(offset + 1, offset + 10)
   if offset > 0 then a, c, d = d, b, a end
   return a, length and c * 0x100 + d, length, second or 0
 end
@@ -63,48 +63,39 @@ end
 
 -- From error frames to events ---------------------------------------------------------------------
 
-local Errors = {}
-Errors.__index = Errors
-
---- Make the events of the error frames of one run.
--- hand_on  function(event)
-function M.new_errors(hand_on)
-  -- By source: { state = the latest, [name of another report] = its latest time }
-  local states = memo(function() return { state = "active" } end)
-  return setmetatable({ hand_on = hand_on, states = states }, Errors)
-end
-
-local function emit(self, kind, cause, values)
-  self.hand_on(kinds.new_event(kind, cause.frame, cause.time, cause.source, values))
-end
-
 -- Return whether a report begins something.  A state lasts until another one comes.  Nothing tells
 -- when frames are acknowledged again: so that ends when the bus works again, or after a second.
+-- known  of a bus: { state = the latest, [name of another report] = its latest time }
 local function is_new(known, report, time)
   local name, state = report.name, report.state
   local latest, is_other = known[name], state ~= known.state
   if not state then
     known[name] = time
-    return not latest or span(latest, time) > NEAR
+    return not latest or span(latest, time) > ENDED
   end
   known.state = state
   if is_other and state ~= "passive" then known.no_ack, known.tx_timeout = nil, nil end
   return is_other
 end
 
---- Add the event of an error frame, in the order of the capture.  Of several states the gravest
--- counts.
-function Errors:add(event)
-  local known, has_state = self.states[event.source], false
-  self.hand_on(event)
-  for _, report in ipairs(event.values.reports) do
-    local name, is_first = report.name, not (report.state and has_state)
-    has_state = has_state or report.state
-    if name == "overflow" then emit(self, "dropped", event, { count = 1 }) end
-    if is_first and is_new(known, report, event.time) and report.is_event then
-      emit(self, "bus", event, { what = name })
-      local rule = "bus_" .. name
-      if kinds.BY_NAME[rule] then emit(self, rule, event, { note = event.source.bus }) end
+--- Make the events of the error frames of one run.
+-- hand_on  function(event)
+-- returns  function(event), to be called for each error frame, in the order of the capture
+function M.new_errors(hand_on)
+  local known_by_source = memo(function() return { state = "active" } end)
+  return function(event)
+    local known, has_state = known_by_source[event.source], false
+    local function emit(kind, values) hand_on(kinds.new_follower(kind, event, values)) end
+    hand_on(event)
+    for _, report in ipairs(event.values.reports) do
+      local name, state, rule = report.name, report.state, "bus_" .. report.name
+      local counts = not (state and has_state) -- of several states the gravest does
+      has_state = has_state or state
+      if name == "overflow" then emit("dropped", { count = 1 }) end
+      if counts and is_new(known, report, event.time) and report.is_event then
+        emit("bus", { what = name })
+        if kinds.BY_NAME[rule] then emit(rule, { note = event.source.bus }) end
+      end
     end
   end
 end
@@ -113,12 +104,10 @@ end
 -- for none.
 -- event   of an ID or bus; bus_events = list of the `bus` events of the capture
 function M.near(event, bus_events)
-  local kind, from, texts = event.kind, event.time, {}
+  local kind, texts = event.kind, {}
   local is_wanted = kinds.BY_NAME[kind].hides or kind == "silence" or kind == "fault"
-  local length = kind == "silence" and tonumber(event.values.length.json) or 0
-  for _, one in ipairs(from and is_wanted and bus_events or {}) do
-    local is_near = one.time >= from - NEAR and one.time <= from + length + NEAR
-    if is_near and one.source.bus == event.source.bus then
+  for _, one in ipairs(event.time and is_wanted and bus_events or {}) do
+    if one.source.bus == event.source.bus and kinds.is_near(event, one.time) then
       texts[#texts + 1] = ("%s at %.3f s"):format(one.values.what, one.time)
     end
   end
@@ -161,7 +150,7 @@ local function new_bus(source)
     source = source,
     frames = 0,
     yapp = 0,
-    errors = {}, -- by name of the gravest report: number of error frames
+    errors = memo(function() return 0 end), -- by name of the gravest report: number of error frames
     first = nil, -- when its frames came
     last = nil,
     bits = 0, -- of all frames
@@ -176,10 +165,9 @@ end
 -- options  { bitrate = bits in a second, or nil }
 -- context  of output.print
 function M.new(options, context)
-  local list = {}
-  local by_source = memo(new_bus, list)
-  return setmetatable(
-    { bitrate = options.bitrate, context = context, list = list, by_source = by_source }, Buses)
+  local self = setmetatable({ bitrate = options.bitrate, context = context, list = {} }, Buses)
+  self.by_source = memo(new_bus, self.list)
+  return self
 end
 
 --- Add an event, see stat.answer.
@@ -187,7 +175,7 @@ function Buses:add_event(event)
   if event.kind ~= "bus_errors" then return end
   local errors, gravest = self.by_source[event.source].errors, event.values.reports[1]
   local name = gravest and gravest.name or "bus"
-  errors[name] = (errors[name] or 0) + 1
+  errors[name] = errors[name] + 1
 end
 
 --- Add a data or remote frame.
@@ -196,12 +184,11 @@ end
 function Buses:add_frame(source, time, packet)
   local bus, bits = self.by_source[source], bits_of(packet)
   local recent = bus.recent
-  bus.frames = bus.frames + 1
-  bus.first, bus.last = bus.first or time, time
-  recent[bus.frames] = { time, bits }
+  bus.frames, bus.first, bus.last = bus.frames + 1, bus.first or time, time
+  recent[bus.frames] = { time = time, bits = bits }
   bus.bits, bus.recent_bits = bus.bits + bits, bus.recent_bits + bits
-  while time - recent[bus.oldest][1] >= 1 do
-    bus.recent_bits = bus.recent_bits - recent[bus.oldest][2]
+  while time - recent[bus.oldest].time >= 1 do
+    bus.recent_bits = bus.recent_bits - recent[bus.oldest].bits
     recent[bus.oldest], bus.oldest = nil, bus.oldest + 1
   end
   bus.max_bits = math.max(bus.max_bits, bus.recent_bits)
@@ -219,21 +206,19 @@ local function share(self, bits, seconds)
 end
 
 local function row_of(self, bus, ending)
-  local texts, errors = {}, {}
+  local texts, length = {}, 0
   for _, name in ipairs(NAMES) do
     local count = bus.errors[name]
-    errors[name] = count or 0
-    texts[#texts + 1] = count and count .. " " .. name
+    if count > 0 then texts[#texts + 1] = count .. " " .. name end
   end
-  local is_known = bus.first and not ending.lacks_times
-  local length = is_known and span(bus.first, bus.last) or 0
+  if bus.first and not ending.lacks_times then length = span(bus.first, bus.last) end
   return {
     bus = bus.source.bus,
     frames = bus.frames,
     rate = length > 0 and (bus.frames - 1) / length or nil,
     yapp = bus.yapp,
     others = bus.frames - bus.yapp,
-    errors = { json = output.object(NAMES, errors).json, text = table.concat(texts, ", ") },
+    errors = { json = output.object(NAMES, bus.errors).json, text = table.concat(texts, ", ") },
     first = output.seconds(bus.first),
     last = output.seconds(bus.last),
     load = share(self, bus.bits, length),

@@ -38,22 +38,21 @@ local LOSSES = {
 
 -- The values of a message that the catalogue does not define; nil for none.
 local function invalid_of(message)
-  local message_type, list = message.source.type, nil
+  local list = {}
   for _, remark in ipairs(message.remarks) do
-    local index, is_undefined = remark[1], remark[3]
+    local index, expert, is_undefined = remark[1], remark[2], remark[3]
     if is_undefined then
-      local field, raw = message_type.fields[index], message.raws[index]
+      local field, raw = message.source.type.fields[index], message.raws[index]
       local shape = field_kinds.BY_NAME[field.kind].code or "0x%02x" -- as the document has it
-      list = list or {}
       list[#list + 1] = {
         field = field.name,
         value = raw,
         code = shape:format(raw),
-        effect = remark[2] == "command.key.invalid" and " (the controller ignores this command)",
+        effect = expert == "command.key.invalid" and " (the controller ignores this command)",
       }
     end
   end
-  return list
+  return list[1] and list
 end
 
 local function values_of(message)
@@ -146,7 +145,7 @@ function M.new(settings, hand_on)
   return setmetatable({
     settings = settings,
     hand_on = hand_on,
-    bus_errors = buses.new_errors(hand_on),
+    add_bus_error = buses.new_errors(hand_on),
     states = states, -- in the order in which they came
     by_source = memo(new_state, states),
     doubtful = {}, -- events that a `shared` behind them may explain, { event, shown_in } each
@@ -213,13 +212,6 @@ function M.fault_event(event, fault, what)
   })
 end
 
-local function add_faults(self, state, event, steps)
-  for _, step in ipairs(steps) do
-    self.hand_on(M.fault_event(event, step.fault, step.is_raised and "raised" or "cleared"))
-  end
-  state.faults = steps.set
-end
-
 local function add_changes(self, state, event, change)
   if change.shared then state.shared_since = number_of(change.shared) end
   for _, row in ipairs(kinds.CHANGES) do
@@ -228,6 +220,9 @@ local function add_changes(self, state, event, change)
       value = key == "length" and output.seconds(value) or value
       emit(self, row.name, event, { [key] = value })
     end
+  end
+  for _, step in ipairs(change.faults or NOTHING) do
+    self.hand_on(M.fault_event(event, step.fault, step.is_raised and "raised" or "cleared"))
   end
 end
 
@@ -279,12 +274,11 @@ local function add_motion(self, state, event)
   local message_type, raws = event.source.type, event.raws
   if event.values.is_unreliable then return end
   if message_type.speed then add_speed(state, message_type.speed, raws) end
-  local field = message_type.enables
-  if not field then return end
+  if not message_type.enables then return end
   for _, invalid in ipairs(event.values.invalid or NOTHING) do
     if invalid.effect then return end
   end
-  add_command(self, state, event, raws[field.index])
+  add_command(self, state, event, raws[message_type.enables.index])
 end
 
 -- Account for the time between two messages of a source: has it room for others, is it a silence?
@@ -304,32 +298,26 @@ local function add_message(self, state, event)
   local last, values = state.last, event.values
   local change = values.change or NOTHING
   state.last = event
+  if change.faults then state.faults = change.faults.set end
+  if state.faults[1] then event.faults = state.faults end
   if last then
     if event.seq ~= last.seq then state.is_numbered = true end
     if not values.is_unreliable then add_span(self, state, last, event, change) end
   end
   self.hand_on(event)
-  if change ~= NOTHING then add_changes(self, state, event, change) end
-  for _, invalid in ipairs(values.invalid or NOTHING) do
-    emit(self, "invalid", event, invalid)
-  end
   if event.raws then add_motion(self, state, event) end
-  if change.faults then add_faults(self, state, event, change.faults) end
-  if state.faults[1] then event.faults = state.faults end
+  for _, invalid in ipairs(values.invalid or NOTHING) do emit(self, "invalid", event, invalid) end
+  if change ~= NOTHING then add_changes(self, state, event, change) end
 end
 
 -- Losses ------------------------------------------------------------------------------------------
 
 -- The orphans in a row with one Seq No, up to an End, are one lost message.
 local function add_loss(self, state, event)
-  local values, begins = event.values, true
-  if values.what == "orphan" then
-    begins = state.orphan_seq ~= event.seq
-    state.orphan_seq = not values.is_end and event.seq or nil
-  else
-    state.orphan_seq = nil
-  end
-  if begins then self.hand_on(event) end
+  local seq, values = state.orphan_seq, event.values
+  local is_orphan = values.what == "orphan"
+  state.orphan_seq = is_orphan and not values.is_end and event.seq or nil
+  if not (is_orphan and seq == event.seq) then self.hand_on(event) end
 end
 
 -- Bytes of a stream that belong to no frame.  Over several packets in a row they are one stretch,
@@ -359,7 +347,7 @@ end
 --- Add an event of M.append, in the order of the capture.
 function Events:add(event)
   local source, kind = event.source, event.kind
-  if kind == "bus_errors" then return self.bus_errors:add(event) end
+  if kind == "bus_errors" then return self.add_bus_error(event) end
   local state = self.by_source[source]
   if kind == "skipped" then return add_skipped(self, state, event) end
   if kind == "undissected" then return add_undissected(self, state, event) end

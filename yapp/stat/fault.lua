@@ -15,20 +15,16 @@ local text_of = require "yapp.message.text"
 
 local M = {}
 
-local insert, abs, huge = table.insert, math.abs, math.huge
+local insert, abs = table.insert, math.abs
 local KINDS, unpack = field_kinds.BY_NAME, rawget(table, "unpack")
 
-local USUAL = 10 -- seconds before the fault, which tell what is usual
--- A value left its range if it is so many usual spreads from the median of the values before it.
+local BEFORE_FAULT = 10 -- seconds; their first half tells what is usual
+-- A value left its range if it is so many usual spreads from the usual value.
 local FACTOR = 4
-local WINDOW, MIN_VALUES = 10, 5 -- of the values before it
--- The usual spread comes of the calm third of the ten seconds: a third of the distances are less
--- than this part of the standard deviation of usual noise.
-local CALM = 0.43
-local FEW = 5 -- values: from so many, the spread is only half as sure
+local NORMAL = 1.48 -- times the median distance is the standard deviation of noise
+local MIN_VALUES = 5 -- in the first half
+local FEW = 10 -- values: from so many, the spread is only half as sure
 local ALONE = 1.5 -- the last value, which no other confirms, must be so much farther
-local ENOUGH = 0.8 -- of the largest distance: the way back from it is as large
-local NEAR = 1 -- seconds before and behind the fault
 local BEFORE, BEHIND = 10, 5 -- messages
 local MISSING = "there is no such fault: the capture has %d"
 
@@ -78,9 +74,8 @@ Fault.__index = Fault
 --          in it, or the next one }
 function M.new(options, context)
   return setmetatable({
-    is_chosen = options.frame or options.number,
-    at = options.frame or huge,
-    number = options.number or options.frame and 0 or 1,
+    options = options,
+    number = options.number or not options.frame and 1,
     context = context,
     count = 0, -- of faults
     cards = {}, -- by source: of its latest fault
@@ -92,9 +87,13 @@ end
 
 -- Gathering ---------------------------------------------------------------------------------------
 
+local function is_message(event)
+  return event.kind == "message"
+end
+
 local function add_fault(self, event)
   local source, values = event.source, event.values
-  local card, what = self.cards[source], values.event
+  local card = self.cards[source]
   if not card or card.incident ~= values.incident then
     self.count = self.count + 1
     card = {
@@ -102,36 +101,30 @@ local function add_fault(self, event)
       incident = values.incident,
       cause = event.cause, -- event of the first message with the fault
       flags = {}, -- events of the flags that rose
-      open = 0, -- how many of them are set
       last = nil, -- the latest event of one
       events = joined(self.old, self.new), -- and those behind the fault
       behind = 0, -- number of messages of the source behind it
     }
     self.cards[source] = card
   end
-  if what == "raised" then insert(card.flags, event) end
+  if values.event == "raised" then insert(card.flags, event) end
   card.last = event
-  if what ~= "active" then card.open = card.open + (what == "raised" and 1 or -1) end
-end
-
--- Return whether an event, or the silence that it begins, is within a second of a fault.
-local function is_near(card, event)
-  local time, at = event.time, card.cause.time
-  local length = event.kind == "silence" and event.values.length.json or 0
-  return time - NEAR <= at and at <= time + length + NEAR
 end
 
 -- Keep an event behind a fault, if its card shows it.
 local function keep(card, event)
-  local is_own = event.raws and event.source == card.cause.source and card.behind < BEHIND
-  if is_own then card.behind = card.behind + 1 end
-  if is_own or not event.raws and is_near(card, event) then insert(card.events, event) end
+  local is_shown = kinds.is_near(event, card.cause.time)
+  if is_message(event) then
+    is_shown = event.source == card.cause.source and card.behind < BEHIND
+    if is_shown then card.behind = card.behind + 1 end
+  end
+  if is_shown then insert(card.events, event) end
 end
 
 -- Return whether cards show an event.
 local function is_shown(event)
   local kind, row = event.kind, kinds.BY_NAME[event.kind]
-  if event.raws or not row then return event.raws end
+  if not row then return event.raws end
   return event.time and kind ~= "unknown" and (kind == "copies" or not row.is_counted_only)
 end
 
@@ -140,50 +133,32 @@ function Fault:add_event(event)
   if not is_shown(event) then return end
   for _, card in pairs(self.cards) do keep(card, event) end
   if event.kind == "fault" then add_fault(self, event) end
-  local card, new = self.cards[event.source], self.new
-  if card and card.open > 0 and (card.number == self.number or event.frame >= self.at) then
+  local card, new, frame = self.cards[event.source], self.new, self.options.frame
+  local has_fault = event.faults or event.kind == "fault"
+  if card and has_fault and (card.number == self.number or frame and event.frame >= frame) then
     self.card = self.card or card
   end
-  if new[1] and event.time - new[1].time > USUAL then self.old, self.new = new, {} end
+  if new[1] and event.time - new[1].time > BEFORE_FAULT then self.old, self.new = new, {} end
   insert(self.new, event)
 end
 
 -- What changed ------------------------------------------------------------------------------------
 
--- Return the distance of each value from the median of those before it, that median, and the usual
--- spread of a field.
-local function find_distances(values, field)
-  local step = field.min and (field.max - field.min) / field.ordinary or field.scale or 0
-  local distances, middles, calm = {}, {}, {}
-  for i, value in ipairs(values) do
-    distances[i], middles[i] = 0, value
-    if i > MIN_VALUES then
-      middles[i] = groups.median { unpack(values, math.max(1, i - WINDOW), i - 1) }
-      if value ~= middles[i] then distances[i] = abs(value - middles[i]) end
-      insert(calm, distances[i])
-    end
-  end
-  table.sort(calm)
-  local usual = (calm[math.ceil(#calm / 3)] or 0) / CALM
-  return distances, middles, math.max(step, usual + usual * FEW / math.max(1, #calm))
-end
-
--- Return the index of the value that left its range, with the next one or as the last one; the
--- usual value and the usual spread.  Nil if none did.
+-- Return the index of the first value that left its range, with the next one or as the last one;
+-- the usual value and the usual spread.  Nil if none did.
 local function find_departure(values, field)
-  local distances, middles, spread = find_distances(values, field)
-  local limit, sizes, largest = FACTOR * spread, {}, 0
-  for i, distance in ipairs(distances) do
-    local is_last = i == #distances
-    sizes[i] = math.min(distance, is_last and distance / ALONE or distances[i + 1])
-    if sizes[i] > limit and not is_last then largest = math.max(largest, sizes[i]) end
-  end
-  -- What changes with the fault itself matters only if nothing did before.
-  for i, size in ipairs(sizes) do
-    if size > limit and size >= ENOUGH * largest then
+  local half, distances = math.floor(#values / 2), {}
+  if half < MIN_VALUES then return end
+  local middle = groups.median { unpack(values, 1, half) }
+  for i, value in ipairs(values) do distances[i] = value == middle and 0 or abs(value - middle) end
+  local step = field.min and (field.max - field.min) / field.ordinary or field.scale or 0
+  local noise = NORMAL * groups.median { unpack(distances, 1, half) }
+  local spread = math.max(step, noise * (1 + FEW / half))
+  for i = half + 1, #values do
+    if math.min(distances[i], distances[i + 1] or distances[i] / ALONE) > FACTOR * spread then
       local first = i
-      while distances[first - 1] > limit do first = first - 1 end -- the first distance is 0
-      return first, middles[first], spread
+      while distances[first - 1] > FACTOR * spread do first = first - 1 end -- ends in the half
+      return first, middle, spread
     end
   end
 end
@@ -209,7 +184,7 @@ local function values_of(messages, field, flag)
   for i, event in ipairs(messages) do
     local number = field_kinds.number(field, event.raws[field.index])
     if flag then number = band(number, flag.mask) == 0 and 0 or 1 end
-    values[i] = number == number and number or huge -- of a reserved value
+    values[i] = number == number and number or math.huge -- of a reserved value
   end
   return values
 end
@@ -279,23 +254,23 @@ local function messages_before(card)
   local all = {}
   local by_source = memo(function() return {} end, all)
   for _, event in ipairs(card.events) do
-    local is_before = event.raws and event.frame <= card.cause.frame
-    if is_before and card.cause.time - event.time <= USUAL then
+    local is_before = is_message(event) and event.frame <= card.cause.frame
+    if is_before and card.cause.time - event.time <= BEFORE_FAULT then
       insert(by_source[event.source], event)
     end
   end
   return all
 end
 
--- Return the messages of the latest Command before a fault: the controller's own, else its bus's.
+-- Return the messages of the Command before a fault: the controller's own, else its bus's.
 local function find_command(source, all)
-  local best, found = 0, nil
+  local found = nil
   for _, messages in ipairs(all) do
-    local latest = messages[#messages]
-    local other = latest.source
+    local other = messages[1].source
     local is_command = other.bus_key == source.bus_key and other.type.name == source.type.answers
-    local rank = is_command and is_same_controller(other, source) and huge or latest.frame
-    if is_command and rank > best then best, found = rank, messages end
+    if is_command and not (found and is_same_controller(found[1].source, source)) then
+      found = messages
+    end
   end
   return found
 end
@@ -323,7 +298,7 @@ end
 
 -- Return the rows of the sections, by key.
 local function find_rows(self, card, ending)
-  local rows = {}
+  local rows, cause = {}, card.cause
   for _, section in ipairs(SECTIONS) do rows[section[1]] = {} end
   add_sources(rows, card)
   for i, event in ipairs(card.flags) do
@@ -332,9 +307,9 @@ local function find_rows(self, card, ending)
     rows.flags[i] = new_row(card, event, row)
   end
   for _, event in ipairs(card.events) do
-    if event.raws and event.source == card.cause.source then
-      insert(rows.messages, message_row(card, event))
-    elseif not event.raws and is_near(card, event) and event.values.incident ~= card.incident then
+    if is_message(event) then
+      if event.source == cause.source then insert(rows.messages, message_row(card, event)) end
+    elseif kinds.is_near(event, cause.time) and event.values.incident ~= card.incident then
       insert(rows.events, new_row(card, event, lists.event_row(self.context, event, ending)))
     end
   end
@@ -384,7 +359,7 @@ function Fault:finish(ending, notes)
   output.print(context, title, M.COLUMNS, (card or context.json) and { row } or {}, notes)
   if card and not context.json then print_sections(context, rows) end
   local code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
-  if card or not self.is_chosen then return code end
+  if card or not (self.options.frame or self.options.number) then return code end
   return output.EXIT_UNDECIDED, MISSING:format(self.count)
 end
 

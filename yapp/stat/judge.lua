@@ -159,6 +159,7 @@ end
 -- longest  seconds: a longer gap breaks what must last
 -- last     the message before, nil for none
 function M.add(state, event, longest, last)
+  if not state[1] then return end
   local change = event.values.change
   local is_apart = last and (event.at < last.at or span(last.at, event.at) > longest)
   -- Rules share fields: work their numbers out once.

@@ -10,6 +10,8 @@ local input = require "yapp.base.input"
 
 local M = {}
 
+local NEAR = 1 -- seconds
+
 -- name        the first value: in JSON and in rules
 -- text        the second one, for people: {key} is a value of the event
 -- keys        in JSON, besides those of every event
@@ -201,6 +203,12 @@ function M.new_follower(kind, cause, values)
   local event = M.new_event(kind, cause.frame, cause.time, cause.source, values)
   event.cause, event.at = cause, cause.at
   return event
+end
+
+--- Return whether a time is within a second of an event, or of the silence that it begins.
+function M.is_near(event, time)
+  local length = event.kind == "silence" and event.values.length.json or 0
+  return time >= event.time - NEAR and time <= event.time + length + NEAR
 end
 
 --- Return the seconds between two times of a capture, rounded to the nanosecond, so that a gap of

@@ -16,6 +16,7 @@ local summary = require "yapp.stat.summary"
 
 local M = {}
 
+local CHARACTER = "[^\128-\191][\128-\191]*" -- of UTF-8
 local CLEAR, RED, NORMAL = "\27[H\27[J", "\27[31m", "\27[m"
 
 local COLUMNS = output.columns {
@@ -41,14 +42,6 @@ local TABLE = output.columns {
 local SOURCE_KEYS = output.words(table.concat(summary.COLUMNS.json, " ") .. " " ..
   "hz age faults latest_fault latest_fault_time")
 
--- Counts, and in JSON the ranges of values, as in `summary`.
-local Counts = groups.class {}
-local new_values = Counts.new_values
-
-function Counts:new_values(message_type)
-  return self.context.json and new_values(self, message_type) or {}
-end
-
 local Watch = { follows_changes = true }
 Watch.__index = Watch
 
@@ -60,10 +53,10 @@ function M.new(options, context)
   return setmetatable({
     options = options,
     context = context,
-    counts = Counts.new(options, context),
+    check = check.new(options, context), -- it counts, too
+    summary = context.json and summary.new(options, context), -- people do not read the ranges
     faults = lists.new({ what = "faults" }, context),
     buses = buses.new(options, context),
-    check = options.rules[1] and check.new(options, context),
     raised = {}, -- by source: event of the latest fault that was raised
     before = {}, -- by source: { count, at = of the latest message } at the latest tick
     must_stop = false, -- true if the next packet ends the run
@@ -74,10 +67,11 @@ end
 
 --- Add an event, see stat.answer.
 function Watch:add_event(event)
-  self.counts:add_event(event)
+  self.check:add_event(event)
+  if self.summary then self.summary:add_event(event) end
+  if event.kind == "message" then return end
   self.faults:add_event(event)
   self.buses:add_event(event)
-  if self.check then self.check:add_event(event) end
   if event.kind == "fault" and event.values.event == "raised" then
     self.raised[event.source] = event
     self.must_stop = self.options.stop == "fault"
@@ -97,66 +91,61 @@ end
 
 -- Return the rate since the latest tick: by the stamps of messages, as packets come in heaps.
 local function rate_of(self, group)
-  local last = group.last
-  local before = self.before[group.source]
-  self.before[group.source] = { count = group.count, at = last.at }
+  local count, at, before = group.count, group.last.at, self.before[group.source]
+  self.before[group.source] = { count = count, at = at }
   if not before then return groups.rate(group) end
-  local count, length = group.count - before.count, kinds.span(before.at, last.at)
-  return length > 0 and count / length or 0
+  local length = kinds.span(before.at, at)
+  return length > 0 and (count - before.count) / length or 0
 end
 
 -- Add the faults that are set to a row, and the latest one; people read this if none is set.
 local function add_faults(self, row, group)
-  local names, quoted, raised = {}, {}, self.raised[group.source]
-  for i, fault in ipairs(group.last.faults or kinds.NOTHING) do
-    names[i], quoted[i] = fault.flag.name, output.value(fault.flag.name)
-  end
+  local names, raised = {}, self.raised[group.source]
+  for i, fault in ipairs(group.last.faults or kinds.NOTHING) do names[i] = fault.flag.name end
   local text = table.concat(names, ", ")
-  if raised then
-    row.latest_fault = raised.values.flag
-    row.latest_fault_time = self.context.dates:value(raised.time)
-  end
-  if raised and not names[1] then
-    local clock = row.latest_fault_time.text:match("(%d+:%d+:%d+)") or ""
-    text = ("(%s at %s)"):format(row.latest_fault, clock)
-  end
-  row.faults = { json = "[" .. table.concat(quoted, ",") .. "]", text = text }
   row.has_faults = names[1] ~= nil
+  if raised then
+    local time = self.context.dates:value(raised.time)
+    row.latest_fault, row.latest_fault_time = raised.values.flag, time
+    if text == "" then text = ("(%s at %s)"):format(row.latest_fault, time.text:sub(12, 19)) end
+  end
+  for i, name in ipairs(names) do names[i] = { json = output.value(name) } end
+  row.faults = { json = output.list(names).json, text = text }
 end
 
--- Return the text of the limit that the latest values are nearest to, and whether it is broken.
-local function limit_of(self, source)
-  local group = self.check and rawget(self.check.by_source, source)
-  local found = group and judge.latest(group.values, group.last and group.last.frame)
-  if not found then return "", false end
-  local shape = found.share < 0 and "%s %.6g OUTSIDE %s" or "%s %.6g in %s"
-  return shape:format(found.rule.field.name, found.value, found.rule.limit), found.share < 0
+-- Add the limit that the latest values are nearest to.
+local function add_limit(self, row, group)
+  local found = judge.latest(self.check.by_source[group.source].values, group.last.frame)
+  if not found then return end
+  row.is_outside = found.share < 0
+  local shape = row.is_outside and "%s %.6g OUTSIDE %s" or "%s %.6g in %s"
+  row.limit = shape:format(found.rule.field.name, found.value, found.rule.limit)
 end
 
--- Return the row of a source with good messages; it has the keys of `summary`, too.
+-- Return the row of a source with good messages; for JSON it has the keys of `summary`, too.
 local function row_of(self, group, ending)
   local source, last, message_type = group.source, group.last, group.type
-  local row = summary.row(group, ending)
+  local row = self.summary and summary.row(group, ending) or output.row(source, {
+    count = group.count,
+    values = last.raws and message_type.info(last.raws),
+  })
   local age, every = ending.length_since(last), message_type and message_type.every
-  local limit, is_outside = limit_of(self, source)
   local is_silent = every and age > self.context.settings.late * every
   local hz = rate_of(self, group)
   row.hz, row.age = hz and tonumber(("%.4g"):format(hz)), output.seconds(age)
   row.age.text = row.age.short .. (is_silent and " SILENT" or "")
   add_faults(self, row, group)
-  row.values.text = last.raws and message_type.info(last.raws) or ""
-  row.limit = limit
-  row.is_red = is_silent or is_outside or row.has_faults
-  row.order = output.sortable(row.who)
+  add_limit(self, row, group)
+  row.is_red = is_silent or row.is_outside or row.has_faults
   return row
 end
 
 local function rows_of(self, ending)
   local rows = {}
-  for _, group in ipairs(self.counts:sort()) do
+  for _, group in ipairs((self.summary or self.check):sort()) do
     if group.last then rows[#rows + 1] = row_of(self, group, ending) end
   end
-  output.sort(rows, function(row) return row.order end)
+  output.sort(rows, function(row) return output.sortable(row.who) end)
   return rows
 end
 
@@ -178,57 +167,50 @@ local function print_json(self, rows, rules, bus_rows, ending)
   }).json .. "\n")
 end
 
--- Return the first characters of a text, which is UTF-8.
-local function cut(text, width)
-  local count = 0
-  for from in text:gmatch("()[^\128-\191]") do
-    if count == width then return text:sub(1, from - 1) end
-    count = count + 1
-  end
-  return text
-end
-
--- Append a table: its heading, and a line for each row, red where something is wrong.
-local function append_table(lines, columns, rows, terminal, width)
-  local index = 0
-  local function add_line(text)
-    local row, line = rows[index], cut(text:gsub("\n$", ""), width)
-    if row and (row.is_red or row.ok) and not terminal.has_no_color then
-      line = RED .. line .. NORMAL
-    end
-    lines[#lines + 1], index = line, index + 1
-  end
-  if rows[1] then output.table({ out = add_line }, columns, rows) end
-end
-
+-- Print the tables in as many lines and columns as the terminal has; a row is red where something
+-- is wrong.
 local function print_tables(self, rows, failed, bus_rows, ending, pause)
   local terminal, lines = self.context.terminal, {}
   local width, height = terminal.size()
+  local function add_line(text, is_red)
+    local count = 0
+    local line = text:gsub(CHARACTER, function()
+      count = count + 1
+      return count > width and "" or nil
+    end)
+    lines[#lines + 1] = is_red and not terminal.has_no_color and RED .. line .. NORMAL or line
+  end
+  local function add_table(columns, list)
+    local index = 0 -- of the row; 0 is the heading
+    local function out(text)
+      local row = list[index]
+      add_line(text:gsub("\n$", ""), row and (row.is_red or row.ok))
+      index = index + 1
+    end
+    if list[1] then output.table({ out = out }, columns, list) end
+  end
   local title = ("YAPP watch: %s in %.1f s"):format(output.count(#rows, "source"), ending.last or 0)
   if pause > 1 then title = title .. (", no packet for %d s before that"):format(pause) end
-  lines[1] = cut(title, width)
-  append_table(lines, TABLE, rows, terminal, width)
-  append_table(lines, check.COLUMNS, failed, terminal, width)
-  append_table(lines, buses.COLUMNS, bus_rows, terminal, width)
+  add_line(title)
+  add_table(TABLE, rows)
+  add_table(check.COLUMNS, failed)
+  add_table(buses.COLUMNS, bus_rows)
   local more = #lines - height + 1
   if more > 0 then
-    lines[height - 1] = cut(("... %d more lines: make the window higher"):format(more + 1), width)
+    for _ = 0, more do lines[#lines] = nil end
+    add_line(("... %d more lines: make the window higher"):format(more + 1))
   end
-  local text = table.concat(lines, "\n", 1, math.min(#lines, height - 1))
-  self.context.out((terminal.in_place() and CLEAR or "") .. text .. "\n")
+  self.context.out((terminal.in_place() and CLEAR or "") .. table.concat(lines, "\n") .. "\n")
 end
 
 -- Print how things stand; return whether a rule failed that no more packets can mend.
 -- pause  seconds for which no packet came
 local function print_state(self, ending, pause)
   local rows, bus_rows = rows_of(self, ending), self.buses:rows(ending)
-  local rules, failed = self.check and self.check:judge(ending) or kinds.NOTHING, {}
-  local has_failed = false
+  local rules, failed, has_failed = self.check:judge(ending), {}, false
   for _, row in ipairs(rules) do
-    if row.ok == check.FAILED then
-      failed[#failed + 1] = row
-      has_failed = has_failed or row.is_final
-    end
+    if row.ok == check.FAILED then failed[#failed + 1] = row end
+    has_failed = has_failed or row.ok == check.FAILED and row.is_final
   end
   if self.context.json then
     print_json(self, rows, rules, bus_rows, ending)
