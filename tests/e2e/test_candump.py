@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """candump text opened by name: every form gives the frames it was printed from, and no other file is taken.
 
-The captures are what candump 2020.11 (2023.03 for *_raw_dlc) and log2long print for the frames listed here, or were
+The captures are what candump 2020.11 and log2long print for the frames listed here, or were
 written by hand where a comment says so.
 """
 import os
@@ -146,7 +146,6 @@ FILES = [
     ("screen_errors.txt", MESSAGE[:2] + ERRORS + MESSAGE[2:], RELATIVE),
     ("screen_drops.txt", MESSAGE, RELATIVE),
     deep("screen_fd.txt", FD_WITHOUT_FLAGS, RELATIVE),
-    deep("screen_raw_dlc.txt", MESSAGE, RELATIVE),
     deep("screen_two_buses.txt", TWO_BUSES, ABSOLUTE),
     ("log_two_buses.log", TWO_BUSES, ABSOLUTE),
     deep("log_bus_names.log", TWO_BUSES, ABSOLUTE),
@@ -154,7 +153,6 @@ FILES = [
     ("log_fd.log", FD, ABSOLUTE),
     deep("log_plain_fd.log", FD, ABSOLUTE),
     ("log_errors.log", MESSAGE[:2] + ERRORS + [remote(0x123, 0), remote(0x08404000, 8)] + MESSAGE[2:], ABSOLUTE),
-    deep("log_raw_dlc.log", MESSAGE, ABSOLUTE),
     deep("log_broken_lines.log", MESSAGE, ABSOLUTE),  # by hand
     ("log2long.txt", TWO_BUSES, ABSOLUTE),
     ("document.txt", MESSAGE, None),  # lines of the protocol's document, as the next one
@@ -216,31 +214,17 @@ def test_lines_that_are_not_understood_are_told(tmp_path):
     for text in ("5: not understood, counts as a lost packet: \"(170", "7: not understood, counts as a lost packet: \"can0  interface down\"",
                  "9: not understood"):
         assert f"candump reader: line {text}" in errors
-    comments = run(tmp_path, ["-r", path, "-T", "fields", "-e", "frame.comment"])[1].splitlines()
-    assert "line 5: not understood" in comments[2]
 
 
 @pytest.mark.parametrize("line", ["  can0  08404000   [8]  00`00`00`20`C7`6F`BE`BB   `... .o..`",
-                                  "  can0  123   [2]  00000001 11111110"], ids=["-S", "-i"])
+                                  "  can0  123   [2]  00000001 11111110", "  can0  123   {E}  00 11 22 33 44 55 66 77"],
+                         ids=["-S", "-i", "-8"])
 def test_forms_that_do_not_open(tmp_path, line):
-    """candump -S and -i: Wireshark says that the file is none that it knows."""
+    """candump -S, -i and -8: Wireshark says that the file is none that it knows."""
     path = tmp_path / "run.txt"
     path.write_text(f"{line}\n" * 5)
     done = tshark.run("-r", path, check=False)
     assert done.returncode and "isn't a capture file" in done.stderr
-
-
-def test_names_of_buses_are_shown_once(tmp_path):
-    for extra in ([], ["-2"]):
-        path = CAPTURES / "candump/candump_log_bus_names.log"
-        comments = run(tmp_path, [*extra, "-r", path, "-T", "fields", "-e", "frame.comment"])[1].splitlines()
-        assert comments[:2] == ["Interface index 0 is can0", "Interface index 1 is vcan0"]
-        assert not any(comments[2:])
-
-
-def test_lost_frames_are_shown(tmp_path):
-    comments = run(tmp_path, ["-r", CAPTURES / "candump/candump_screen_drops.txt", "-T", "fields", "-e", "frame.comment"])[1]
-    assert "dropped 3 CAN frames on 'can0'" in comments.splitlines()[4]
 
 
 # What is known when all is read, where statistics ask for it.

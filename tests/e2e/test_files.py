@@ -68,7 +68,7 @@ def test_buses_are_told_apart():
 
 
 def test_channels_of_asc():
-    for name, times in [("motor", {"1": "004", "2": "009"}), ("motor_fd", {"1": "001"})]:
+    for name, times in [("motor", {"0": "004", "1": "009"}), ("motor_fd", {"0": "001"})]:
         rows = tshark.fields(FOLDER / f"{name}.asc", ["sll.ifindex", "frame.time_epoch", "yapp.crc.status", "taurus.motor.dc_voltage"], "-2")
         assert [row[:3] for row in rows if row[3]] == [[bus, f"1700000000.{time}000000", "1"] for bus, time in times.items()]
     tshark.assert_no_lua_errors(FOLDER / "motor.asc")

@@ -31,9 +31,9 @@ function M.opened(text, is_plain)
 end
 
 -- What read and seek_read return, as a record.
-function M.frame(offset, bytes, seconds, nanoseconds, bus, comment)
+function M.frame(offset, bytes, seconds, nanoseconds, bus)
   return offset and { offset = offset, bytes = bytes, bus = bus.number, bus_name = bus.name, seconds = seconds,
-    nanoseconds = nanoseconds, comment = comment }
+    nanoseconds = nanoseconds }
 end
 
 -- All frames of a text; nil where it is not taken.

@@ -69,9 +69,7 @@ end
 function T.test_numbers_of_buses()
   local stamps = { "000.000000", "000.000001", "000.000002", "000.000003", "000.000004", "000.000005" }
   local frames = frames_of(screen(stamps, { "can1", "any", "can0", "vcan1", "can1", "can12345" }))
-  lu.assertEquals(column(frames, "bus"), { 1, 0, 2, 3, 1, 4 })
-  lu.assertStrContains(frames[1].comment, "Interface index 1 is can1")
-  lu.assertNil(frames[5].comment)
+  lu.assertEquals(column(frames, "bus"), { 0, 1, 2, 3, 0, 4 })
 end
 
 -- candump -d says in its output, and in a log, how many frames the kernel dropped.
@@ -122,8 +120,6 @@ function T.test_lines_that_were_not_understood()
   local words = "not understood, counts as a lost packet"
   lu.assertEquals(told, { "line 4: " .. words .. ': "oh no"', "line 5: " .. words .. ': "(1.000000) can0 123#1"',
     "line 108: " .. words .. ': "(1.000000) can0 123#1"; further ones are not reported' })
-  lu.assertEquals({ frames[2].comment, frames[3].comment, frames[4].comment },
-    { nil, told[1] .. "\n" .. told[2], nil })
   local first, second = log.drops[1], log.drops[2]
   lu.assertEquals({ first.count, first.frame, second.count, second.frame }, { 2, 3, 500, 104 })
 end

@@ -87,13 +87,6 @@ function T.test_other_text_is_never_taken()
   end
 end
 
-function T.test_a_log_cut_at_its_start()
-  for _, first in ipairs { "00.000001) can0 123#1122334455667788", "3#11 R", "#", "788", "3   [2]  11 22", "11 22 33",
-    "2 33 ", "[8]  remote request" } do
-    lu.assertEquals(#(frames_of(first .. "\n" .. HEAD:rep(3)) or {}), 3, first)
-  end
-end
-
 function T.test_a_shell_in_front_of_the_frames()
   for _, lines in ipairs { "candump can0", "$ candump -ta can0", "$ sudo ip link set can0 up\n$ candump can0",
     "Script started on 2026-11-14 22:13:20+00:00\npi@drone:~$ ls\nrun.log\npi@drone:~$ candump -L any",

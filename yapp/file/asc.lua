@@ -39,119 +39,107 @@ local function parse_date(text_of_date)
   return seconds * 1000 + ("0" .. milliseconds)
 end
 
--- Return the time in front of a line, "-12.000123", in nanoseconds, and the text behind it; nil
--- without.
+local STAMP = "^%s*(%-?)(%d+)[.,](%d+)%s" -- "-12.000123"
+
+-- Return the time in front of a line in nanoseconds, nil without.
 local function parse_stamp(line)
-  local sign, whole, fraction, rest = line:match("^%s*(%-?)(%d+)[.,](%d+)%s+(.*)$")
-  if not rest or #whole > 9 then return nil end
+  local sign, whole, fraction = line:match(STAMP)
+  if not sign or #whole > 9 then return nil end
   local time = whole * SECOND + (fraction .. "00000000"):sub(1, 9)
-  return sign == "-" and -time or time, rest
+  return sign == "-" and -time or time
+end
+
+local function set_time(record, stamp)
+  record.stamp = stamp and parse_stamp(stamp)
+  return record.stamp ~= nil
 end
 
 -- A line ------------------------------------------------------------------------------------------
 
--- Known lines without a time.
-local PLAIN = {
-  "^%s*$", "^%s*//", "^%s*;", "^%s*date%f[^%a]", "^%s*base%f[^%a]", "internal events logged",
-  "^%s*begin trigger", "^%s*end trigger",
-}
--- The texts behind a time in a line without a frame: of a channel, of another network, of J1939
--- (whose frames have lines of their own), and a request to send (the frame has a line of its own).
-local EVENTS = {
-  "^%d+%s+statistic:", "^%d+%s+overloadframe", "^%d+%s+j1939", "%stxrq%s", "^canxl%s",
-  "^l%w*%s", "^eth%s", "^fr%w*%s", "^most", "^j%d", "^sv:", "^a429",
-}
--- With one of these behind the time, a line may have been a frame.
-local LIKE_FRAMES = { "^%d+%s", "^%d+$", "^canfd%f[^%a]", "%f[%a][rt]x%f[^%a]" }
-
--- Return whether a line without a frame is known.
--- rest  the text behind its time, nil without a time
-local function is_event(line, rest)
-  if not rest then return text.has_one_of(line:lower(), PLAIN) end
-  local lower = rest:lower()
-  return text.has_one_of(lower, EVENTS) or not text.has_one_of(lower, LIKE_FRAMES)
-end
-
 -- Return the id in "8404000x", with SocketCAN's flag of an extended one; nil for another text.
-local function parse_id(id, base)
+local function parse_id(log, id)
   local digits, extended = id:match("^(%x+)([xX]?)$")
-  local value = digits and #digits <= 10 and tonumber(digits, base)
+  local value = digits and #digits <= 10 and tonumber(digits, log.base)
   if not value then return nil end
   if extended == "" then return value < 0x800 and value or nil end
   return value < text.ERROR and value + text.EXTENDED or nil
 end
 
+-- Return a record without data.
+local function new_record(log, channel, id, direction)
+  return {
+    bus = "CAN-" .. tonumber(channel),
+    id = parse_id(log, id),
+    sent = direction:upper() == "T",
+  }
+end
+
 local BYTE = "^%s*(%x%x?%x?)%f[%X]()"
 
--- Fill in "d 8 FD 7F ...", "r 8": a length of 9 to 15 means 8.
-local function parse_classic(record, rest, base)
+-- Read "d 8 FD 7F ...", "r 8": a length of 9 to 15 means 8.
+local function read_classic(log, channel, id, direction, rest)
+  local record = new_record(log, channel, id, direction)
   local kind, code, data = rest:match("^([dDrR])%s*(%x?)%s*(.*)$")
-  record.length = math.min(tonumber(code or "", 16) or 0, 8)
+  local length = math.min(tonumber(code or "", 16) or 0, 8)
   if kind == "r" or kind == "R" then
-    record.id = record.id + text.REMOTE
-    record.data = ""
+    record.id = record.id and record.id + text.REMOTE
+    record.length, record.data = length, ""
   elseif kind and code ~= "" then
-    record.data = text.parse_bytes(data, record.length, BYTE, base)
+    record.data = text.parse_bytes(data, length, BYTE, log.base)
   end
+  return record
 end
 
 -- BRS, ESI, DLC, length, then data, duration, bits, flags
 local FLEXIBLE = "([01])%s+([01])%s+%x%d?%s+(%d+)(.*)$"
 local FDF = 0x1000 -- in the flags
 
--- Fill in a CAN FD frame, with or without a name in front.
-local function parse_flexible(record, rest, base)
+-- Read a line of CAN FD, with or without a name in front.  Its frame may be a classic one.
+local function read_flexible(log, channel, direction, id, rest)
+  local record = new_record(log, channel, id, direction)
   local brs, esi, length, data = rest:match("^" .. FLEXIBLE)
   if not brs then brs, esi, length, data = rest:match("^%S+%s+" .. FLEXIBLE) end
-  record.length = tonumber(length)
-  if not length or record.length > 64 then return end
+  if not length or #length > 2 then return nil end
   local stop
-  record.data, stop = text.parse_bytes(data, record.length, BYTE, base)
+  record.data, stop = text.parse_bytes(data, tonumber(length), BYTE, log.base)
   local flags = tonumber(data:match("^%s*%d+%s+%d+%s+(%x+)", stop) or "1000", 16)
   if flags % (2 * FDF) >= FDF then
     record.fd = true
     record.flags = 4 + brs + 2 * esi -- FDF, BRS, ESI
   end
-end
-
--- By the word in front of the channel: the function that reads the text behind the id; the pattern
--- of id and direction, and whether the direction is in front.
-local FORMS = {
-  [""] = { read = parse_classic, pattern = "^(%w+)%s+([RrTt])[Xx]%s+(.*)$" },
-  CANFD = { read = parse_flexible, pattern = "^([RrTt])[Xx]%s+(%w+)%s+(.*)$", is_turned = true },
-}
-
--- Return the frame in the text behind a time, nil if there is none.
-local function frame_of(rest, base)
-  local kind, channel, behind = rest:match("^(%a*)%s*(%d%d?%d?)%s+(%S.*)$")
-  local form = FORMS[(kind or "none"):upper()]
-  if not form then return nil end
-  local record = { bus = "CAN-" .. tonumber(channel), flags = 0, raw_dlc = 0 }
-  if behind:find("^[RrTtXx]*%s*[Ee]rror[Ff]rame") then
-    record.id = text.ERROR + 0x80 -- a bus error
-    record.length, record.data = 8, ("\0"):rep(8)
-    return record
-  end
-  local id, direction, data = behind:match(form.pattern)
-  if form.is_turned then id, direction = direction, id end
-  record.id = id and parse_id(id, base)
-  if not record.id then return nil end
-  record.sent = direction:upper() == "T"
-  form.read(record, data, base)
-  return record.data and record or nil
-end
-
---- Read one line.
--- line     without its end
--- base     10 or 16: of the file's ids and data
--- returns  as parse of text.open, but for the time: stamp = nanoseconds, see note
-function M.parse(line, base)
-  local stamp, rest = parse_stamp(line)
-  local record = rest and frame_of(rest, base)
-  if not record then return nil, is_event(line, rest) end
-  record.stamp = stamp
   return record
 end
+
+local FORMS = {
+  { --  0.001000 1  ErrorFrame
+    pattern = "^[CANFDcanfd]*%s*(%d%d?%d?)%s+%f[%S][RrTtXx]*%s*[Ee]rror[Ff]rame",
+    read = function(_, channel)
+      return { bus = "CAN-" .. tonumber(channel), id = text.ERROR + 0x80, data = ("\0"):rep(8) }
+    end,
+    like = STAMP .. "+%d+%f[%s\0]", -- a channel
+    needs_time = true,
+  },
+  { --  0.001000 1  8408000x        Rx   d 8 FD 7F FD 7F FD 7F FD 7F
+    pattern = "^(%d%d?%d?)%s+(%w+)%s+([RrTt])[Xx]%s+(.*)$",
+    read = read_classic,
+    like = "^%s*%x+x?%s+[rt]x%f[^%a]", -- its time is lost
+    needs_time = true,
+  },
+  { --  0.002000 CANFD   1 Rx   840C000x                          1 0 d 32 FD 7F ...
+    pattern = "^[Cc][Aa][Nn][Ff][Dd]%s+(%d%d?%d?)%s+([RrTt])[Xx]%s+(%w+)%s+(.*)$",
+    read = read_flexible,
+    like = "canfd%f[^%a]",
+    needs_time = true,
+  },
+}
+
+-- Comments, lines of the head; statistics of a channel, of J1939 (whose frames have lines of their
+-- own), and a request to send (the frame has a line of its own).
+local KNOWN = {
+  "^%s*$", "^%s*//", "^%s*;", "^%s*date%f[^%a]", "^%s*base%f[^%a]", "internal events logged",
+  "^%s*begin trigger", "^%s*end trigger", "%d%s+statistic:", "%d%s+overloadframe", "%d%s+j1939",
+  "%stxrq%s",
+}
 
 -- A file ------------------------------------------------------------------------------------------
 
@@ -166,10 +154,12 @@ local function date_in(log, line, pattern)
   return date
 end
 
--- Note the dates of a line without a time.
+-- Note the dates of a line without a time.  Behind the first frame times go on.
 local function note_dates(log, line)
-  log.date = date_in(log, line, "^%s*date%s(.*)") or log.date
-  log.began = date_in(log, line, "^%s*[Bb]egin%s+[Tt]riggerblock%s+(%S.*)") or log.began
+  local date = date_in(log, line, "^%s*date%s(.*)")
+  local began = date_in(log, line, "^%s*[Bb]egin%s+[Tt]riggerblock%s+(%S.*)")
+  if log.frames > 0 then return end
+  log.date, log.began = date or log.date, began or log.began
 end
 
 -- Note the dates, and the time of a frame.  A block has the time when it began: python-can counts
@@ -179,13 +169,22 @@ local function note(log, line, record, offset)
   if not stamp then return note_dates(log, line) end
   if log.began then
     local is_since_date = math.abs(log.date + stamp / MILLISECOND - log.began) < 2000
-    log.zero, log.began = is_since_date and log.date or log.began, nil
+    log.date, log.began = is_since_date and log.date or log.began, nil
   end
-  local zero = log.zero or log.date
-  log.start = log.start == 0 and math.floor(zero / 1000) or log.start
+  log.start = math.floor(log.date / 1000)
   log.clock = stamp + (log.is_relative and log.clock or 0)
-  if record then log.times[offset] = log.clock + (zero - log.start * 1000) * MILLISECOND end
+  if record then log.times[offset] = log.clock + log.date % 1000 * MILLISECOND end
 end
+
+--- The format of ASC's lines, see file.text.  A log of it has base = 10 or 16, of ids and data.
+M.FORMAT = {
+  stamp = "^(%s*%-?%d+[.,]%d+%s)%s*()",
+  set_time = set_time,
+  forms = FORMS,
+  known = KNOWN,
+  event = STAMP, -- of the recorder, or of another network
+  note = note,
+}
 
 local BASES = { hex = 16, dec = 10 } -- of ids and data
 
@@ -198,23 +197,16 @@ local BASES = { hex = 16, dec = 10 } -- of ids and data
 function M.open(file, report)
   local head = file:read(HEAD) or ""
   local word, stamps = ("\n" .. head):match("\n[^%w\n]*base%s+(%a+)%s+([^\r\n]*)")
-  local base = BASES[word]
-  if not base then return nil end
-  local function parse(line) return M.parse(line, base) end
-  local found = text.survey(head, #head < HEAD, parse)
-  return text.open(head, report, {
-    parse = parse,
-    note = note,
-    like = { "" }, -- each line that is not understood may have been a frame
-    date = 0, -- of the file, in milliseconds since 1970
+  if not BASES[word] then return nil end
+  local log = text.new(head, #head < HEAD, M.FORMAT, {
+    base = BASES[word],
+    date = 0, -- that stamps count from, in milliseconds since 1970
     began = nil, -- the date of a block until its first stamp comes
-    zero = nil, -- the time that stamps count from, if not from the date
     clock = 0, -- the last stamp; if they are relative, the sum of all
     is_relative = stamps:find("^timestamps%s+relative") ~= nil,
     decimals = 6,
-    has_several = found.has_several,
-    stamps_differ = found.stamps_differ,
   })
+  return log:open(head, report)
 end
 
 return M

@@ -44,7 +44,7 @@ end
 
 -- Fill a record with the results of a log's read or seek_read.
 -- returns  its offset; false at the end
-local function fill(log, frame, offset, bytes, seconds, nanoseconds, its_bus, comment)
+local function fill(log, frame, offset, bytes, seconds, nanoseconds, its_bus)
   latest = log
   if not offset then return false end
   frame.rec_type = wtap_rec_types.PACKET
@@ -55,7 +55,6 @@ local function fill(log, frame, offset, bytes, seconds, nanoseconds, its_bus, co
   else
     log.lacks_times = true
   end
-  if comment then frame.comment = comment end
   frame.data = bytes
   bus = its_bus or NO_BUS
   return offset

@@ -1,21 +1,37 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The common part of the readers of text logs: the lines of a file, a CAN frame as a packet, and a
 -- log that reads its frames in order and once more.  Pure Lua.
-local char, find, sub = string.char, string.find, string.sub
+--
+-- A format is {
+--   stamp     pattern of the time in front of a line: its captures are the time, and the index
+--             behind it
+--   set_time  function(record, stamp), which sets the record's stamp, seconds and nanoseconds;
+--             returns whether there is such a time, or may be none
+--   forms     list of the forms of a line with a frame, behind the time: {
+--               pattern     its captures are the arguments of read
+--               read        function(log, captures), which returns a record, nil if it is damaged
+--               like        pattern, in lower case: a line that has it was a frame
+--               needs_time  true if a line without a time is of another program }
+--   known     patterns, in lower case, of lines without a frame
+--   event     pattern of others: such a line is known if it is not like a frame; or nil
+--   note      function(log, line, record, offset), called once for each line, in their order
+--   read_usual  function(log, lines), which reads a line of the usual form without a record: it
+--             returns as Log:read, nil for another line; or nil }
+-- A record is a frame as packet needs it, and { bus = its name or nil, stamp = to compare }.
+local char, find, match, sub = string.char, string.find, string.match, string.sub
 local memo = require "yapp.base.memo"
 local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
 local BLOCK = 65536 -- bytes read at once
--- Bytes of a line that may have a frame.  A longer line is not understood.
+-- Bytes of a line that may be understood.
 local MAX_LINE = 4096
 local MAX_REPORTED = 3 -- lines for each reason
 local UNKNOWN = "not understood, counts as a lost packet"
 local UNREADABLE = "the file cannot be read behind byte %d (%s): a compressed file may be " ..
   "damaged, or cut off; what was read until there is shown"
 local SECOND = 1000000000 -- nanoseconds
-local MARK = "\239\187\191" -- a byte order mark, in front of UTF-8
 
 -- Lines -------------------------------------------------------------------------------------------
 
@@ -28,7 +44,7 @@ function M.lines(text)
   return setmetatable({
     text = text, -- a part of the file
     base = 0, -- the offset of the text
-    pos = sub(text, 1, #MARK) == MARK and #MARK + 1 or 1, -- index at which the next line begins
+    pos = 1, -- index at which the next line begins
     number = 0, -- of the line read last
   }, Lines)
 end
@@ -92,29 +108,20 @@ local BIG_ENDIAN = memo(function(number)
 end)
 local LITTLE_ENDIAN = memo(function(number) return BIG_ENDIAN[number]:reverse() end)
 
---- Return the bytes of a packet before the CAN frame's length: the same for all frames with this id
--- on a bus.  (Wireshark takes the id in the host's order here, and this is the usual one.)
--- number  of the bus
--- id      with SocketCAN's flags
--- fd, sent  booleans or nil
-function M.head(number, id, fd, sent)
-  -- Linux cooked capture v2: protocol, reserved, interface index, device type, packet type, no
-  -- address
-  return (fd and "\0\13\0\0" or "\0\12\0\0") .. BIG_ENDIAN[number] ..
-    (sent and "\1\24\4" or "\1\24\0") .. "\0\0\0\0\0\0\0\0\0" .. LITTLE_ENDIAN[id]
-end
-
 --- Return a frame as a packet of link type LINUX_SLL2: the cooked header, the SocketCAN header, the
--- data.
+-- data.  (Wireshark takes the id in the host's order here, and this is the usual one.)
 -- number  of the bus
--- record  { id, fd, sent = as for M.head, length = bytes, flags = 4 FDF, 2 ESI, 1 BRS, raw_dlc = 9
---         to 15 or 0, data = bytes }
+-- record  { id = with SocketCAN's flags, data = bytes; fd, sent = booleans or nil; length = bytes,
+--         or nil for those of the data; flags = 4 FDF, 2 ESI, 1 BRS, or nil }
 function M.packet(number, record)
-  local lengths = char(record.length, record.flags, 0, record.raw_dlc)
-  return M.head(number, record.id, record.fd, record.sent) .. lengths .. record.data
+  -- Protocol, reserved, interface index, device type, packet type, no address
+  return (record.fd and "\0\13\0\0" or "\0\12\0\0") .. BIG_ENDIAN[number] ..
+    (record.sent and "\1\24\4" or "\1\24\0") .. "\0\0\0\0\0\0\0\0\0" ..
+    LITTLE_ENDIAN[record.id] .. char(record.length or #record.data, record.flags or 0, 0, 0) ..
+    record.data
 end
 
--- The parts of a file -----------------------------------------------------------------------------
+-- A line ------------------------------------------------------------------------------------------
 
 --- Return so many data bytes, and the index behind them; nil if there are fewer.
 -- data     text that begins with them
@@ -124,7 +131,7 @@ function M.parse_bytes(data, count, pattern, base)
   local bytes, stop = {}, 1
   for i = 1, count do
     local digits
-    digits, stop = data:match(pattern, stop)
+    digits, stop = match(data, pattern, stop)
     local value = digits and tonumber(digits, base)
     if not value or value > 255 then return nil end
     bytes[i] = char(value)
@@ -132,39 +139,43 @@ function M.parse_bytes(data, count, pattern, base)
   return table.concat(bytes), stop
 end
 
---- Return whether a text has one of these patterns.
-function M.has_one_of(line, patterns)
+-- Return whether a record is of a frame that there may be.
+local function is_good(record)
+  local length = record.length or record.data and #record.data
+  return record.id and length and length <= (record.fd and 64 or 8)
+end
+
+-- Return the record of a line, nil if it has no frame.
+local function record_of(log, line)
+  local format = log.format
+  local stamp, from = match(line, format.stamp)
+  for _, form in ipairs(format.forms) do
+    local a, b, c, d, e, f, g = match(line, form.pattern, from)
+    if a and (stamp or not form.needs_time) then
+      local record = form.read(log, a, b, c, d, e, f, g)
+      local has_frame = record and is_good(record) and format.set_time(record, stamp)
+      return has_frame and record or nil
+    end
+  end
+  return nil
+end
+
+local function has_one_of(line, patterns)
   for _, pattern in ipairs(patterns) do
     if find(line, pattern) then return true end
   end
   return false
 end
 
---- Read the lines with which a file begins.
--- head     string: the first bytes of the file
--- is_all   true if they are the whole file
--- parse    function(line) -> record, is_known, see open
--- returns  { records = list of the frames in its whole lines, others = list of the lines that were
---          not understood, before = how many of these stand in front of the first frame,
---          has_several = true if there are several buses, stamps_differ = true if the frames have
---          different time stamps }
-function M.survey(head, is_all, parse)
-  local lines = is_all and head or head:match("^.*\n") or ""
-  local records, others = {}, {}
-  local found = { records = records, others = others, before = 0,
-    has_several = false, stamps_differ = false }
-  for line in lines:gsub("^" .. MARK, ""):gmatch("[^\n]+") do
-    local record, is_known = parse(line)
-    if record then
-      records[#records + 1] = record
-      if not records[2] then found.before = #others end
-      if record.bus ~= records[1].bus then found.has_several = true end
-      if record.stamp ~= records[1].stamp then found.stamps_differ = true end
-    elseif not is_known then
-      others[#others + 1] = line
-    end
+-- Return what a line without a frame is: "known"; "lost", a frame before it was damaged; or
+-- "doubtful".
+local function kind_of(format, line)
+  line = line:lower()
+  if has_one_of(line, format.known) then return "known" end
+  for _, form in ipairs(format.forms) do
+    if find(line, form.like) then return "lost" end
   end
-  return found
+  return format.event and find(line, format.event) and "known" or "doubtful"
 end
 
 -- Logs --------------------------------------------------------------------------------------------
@@ -172,38 +183,66 @@ end
 local Log = {}
 Log.__index = Log
 
---- Make a log.
--- head    string: the first bytes of the file, which is right behind them
--- report  function(text), called with a note on a line
--- log     the state of the format, with
---         parse  function(line), which returns the frame in a line: a record as packet needs it,
---                and { bus = its name or nil, stamp = the text of its time or nil, seconds,
---                nanoseconds = its time or nil }.  For a line without a frame: nil, and true if
---                such a line is known, so that it is no lost frame
---         note   function(log, line, record, offset), called once for each line, in their order
---         like   list of patterns: a line that has one was a frame
---         read_usual  function(log, lines), which reads a line of the usual form without a record:
---                it returns as Log:read, nil for another line; or nil
-function M.open(head, report, log)
-  log.report = report
-  log.lines = M.lines(head)
-  log.again = M.lines("") -- for the frames that are read once more
-  log.frames = 0 -- that were read
-  log.reported = {} -- number of lines, by reason
-  log.pending = {} -- texts for the packet list, at the next frame
-  log.comments = {} -- texts of the packet list, by the frame's offset
-  log.buses = {} -- { number, name = fit to be printed }, by the record's bus
-  log.is_taken = {} -- by number: true if a bus has it
-  log.free = 0 -- all numbers below are taken
-  log.times = {} -- by the frame's offset: nanoseconds since log.start, if its record lacks them
-  log.start = 0 -- seconds since 1970
-  log.drops = {} -- as readers.log returns them
-  log.lost, log.doubtful = 0, 0 -- number of lines since the latest frame: not understood
-  return setmetatable(log, Log)
+--- Parse a line.
+-- line     text without its line end; colours are dropped
+-- returns  its record; nil, and "known", "lost" or "doubtful" for a line without a frame
+function Log:parse(line)
+  if #line > MAX_LINE then return nil, "lost" end
+  if find(line, "\27", 1, true) then line = line:gsub("\27%[[%d;]*m", "") end
+  local record = record_of(self, line)
+  return record, not record and kind_of(self.format, line) or nil
 end
 
---- Report a line, at once and in the packet list at the next frame.  Of each reason only the first
--- lines are reported.
+--- Make a log of the first bytes of a file, which may be of its format.
+-- head    string
+-- is_all  true if they are the whole file
+-- format  see above
+-- log     the state of the format, to which fields are added: { records = list of the frames in the
+--         whole lines of the head, others = number of lines that were not understood, before =
+--         text of those in front of the first frame, "" for none; has_several = true if there are
+--         several buses, stamps_differ = true if the frames have different times }
+function M.new(head, is_all, format, log)
+  log.format = format
+  log.records, log.others, log.before = {}, 0, ""
+  log.has_several, log.stamps_differ = false, false
+  setmetatable(log, Log)
+  local lines = is_all and head or head:match("^.*\n") or ""
+  for line in lines:gmatch("[^\n]+") do
+    local record, kind = log:parse(line)
+    local first = log.records[1] or record
+    if record then
+      table.insert(log.records, record)
+      log.has_several = log.has_several or record.bus ~= first.bus
+      log.stamps_differ = log.stamps_differ or record.stamp ~= first.stamp
+    elseif kind ~= "known" then
+      log.others = log.others + 1
+      if not first then log.before = log.before .. line .. "\n" end
+    end
+  end
+  return log
+end
+
+--- Begin to read the log.
+-- head    string: the first bytes of the file, which is right behind them
+-- report  function(text), called with a note on a line
+-- returns  the log
+function Log:open(head, report)
+  self.report = report
+  self.lines = M.lines(head)
+  self.again = M.lines("") -- for the frames that are read once more
+  self.frames = 0 -- that were read
+  self.reported = {} -- number of lines, by reason
+  self.buses = {} -- { number, name = fit to be printed }, by the record's bus
+  self.bus_count = 0
+  self.times = {} -- by the frame's offset: nanoseconds since self.start, if its record lacks them
+  self.start = 0 -- seconds since 1970
+  self.drops = {} -- as readers.log returns them
+  self.placed = 0 -- number of drops with the frame behind them
+  self.lost, self.doubtful = 0, 0 -- number of lines since the latest frame
+  return self
+end
+
+--- Report a line.  Of each reason only the first lines are reported.
 -- why  text
 function Log:quote(line, why)
   local count = (self.reported[why] or 0) + 1
@@ -213,39 +252,18 @@ function Log:quote(line, why)
   local message = ('line %d: %s: "%s"'):format(self.lines.number, why, shown)
   if count == MAX_REPORTED then message = message .. "; further ones are not reported" end
   self.report(message)
-  self.pending[#self.pending + 1] = message
 end
 
--- Account for a line that was not understood: a lost packet.  One that is not like a frame counts
--- only between two frames: in front of them and behind them may be lines of a shell.
-local function lose(self, line)
-  local kind = M.has_one_of(line, self.like) and "lost" or "doubtful"
-  self[kind] = self[kind] + 1
-  self:quote(line, UNKNOWN)
-end
-
--- Set the frame behind the latest drops, and its time; none at the end of the file.
+-- Set the frame behind the latest drops, and its time; none at the end of the file.  A doubtful
+-- line counts only between two frames: in front of them and behind them may be lines of a shell.
 local function place_drops(self, frame, time)
   local count = self.lost + (frame and frame > 1 and self.doubtful or 0)
   self.lost, self.doubtful = 0, 0
-  if count > 0 then self.drops[#self.drops + 1] = { count = count } end
-  for i = #self.drops, 1, -1 do
-    local drop = self.drops[i]
-    if drop.frame then break end
-    drop.frame, drop.time = frame, time
+  if count > 0 then table.insert(self.drops, { count = count }) end
+  for i = self.placed + 1, #self.drops do
+    self.drops[i].frame, self.drops[i].time = frame, time
   end
-end
-
--- Add a bus.  Its number is the one its name ends in (can1 is 1) unless another bus has it, else
--- the first free one.
-local function add_bus(self, name)
-  while self.is_taken[self.free] do self.free = self.free + 1 end
-  local number = tonumber(name:match("%f[%d]%d?%d?%d$"))
-  if not number or self.is_taken[number] then number = self.free end
-  self.is_taken[number] = true
-  local bus = { number = number, name = utf8.printable(name) }
-  self.buses[name] = bus
-  self.pending[#self.pending + 1] = ("Interface index %d is %s"):format(number, bus.name)
+  self.placed = #self.drops
 end
 
 -- Return the time of a frame, nil without one.
@@ -257,10 +275,10 @@ end
 
 -- Account for a frame that is read for the first time.
 local function add_frame(self, record, offset)
-  if record.bus and not self.buses[record.bus] then add_bus(self, record.bus) end
-  if self.pending[1] then
-    self.comments[offset] = table.concat(self.pending, "\n")
-    self.pending = {}
+  local name = record.bus
+  if name and not self.buses[name] then
+    self.buses[name] = { number = self.bus_count, name = utf8.printable(name) }
+    self.bus_count = self.bus_count + 1
   end
   self.frames = self.frames + 1
   local seconds, nanoseconds = time_of(self, record, offset)
@@ -271,25 +289,26 @@ end
 local function read_any(self, lines, file)
   local line, offset = lines:next(file)
   if not line then return nil end
-  local record, is_known
-  if #line <= MAX_LINE then record, is_known = self.parse(line) end
+  local record, kind = self:parse(line)
   if lines == self.lines then
-    if not (record or is_known) then lose(self, line) end
-    self:note(line, record, offset)
+    if kind == "lost" or kind == "doubtful" then
+      self[kind] = self[kind] + 1
+      self:quote(line, UNKNOWN)
+    end
+    self.format.note(self, line, record, offset)
     if record then add_frame(self, record, offset) end
   end
   if not record then return read_any(self, lines, file) end
   local bus = self.buses[record.bus]
   local seconds, nanoseconds = time_of(self, record, offset)
-  local packet = M.packet(bus and bus.number or 0, record)
-  return offset, packet, seconds, nanoseconds, bus, self.comments[offset]
+  return offset, M.packet(bus and bus.number or 0, record), seconds, nanoseconds, bus
 end
 
 -- The same; first try the usual form.
 local function read(self, lines, file)
   if self.read_usual then
     local offset, packet, seconds, nanoseconds, bus = self:read_usual(lines)
-    if offset then return offset, packet, seconds, nanoseconds, bus, self.comments[offset] end
+    if offset then return offset, packet, seconds, nanoseconds, bus end
   end
   return read_any(self, lines, file)
 end
@@ -297,12 +316,12 @@ end
 --- Read the next frame.
 -- file     the file that was opened
 -- returns  its offset, the packet's bytes (link type LINUX_SLL2), the seconds and nanoseconds since
---          1970 or since the first frame (nil without a time), the bus { number, name } or nil, a
---          comment or nil.  Nil at the end
+--          1970 or since the first frame (nil without a time), the bus { number, name } or nil.
+--          Nil at the end
 function Log:read(file)
-  local offset, packet, seconds, nanoseconds, bus, comment = read(self, self.lines, file)
+  local offset, packet, seconds, nanoseconds, bus = read(self, self.lines, file)
   if not offset then place_drops(self) end
-  return offset, packet, seconds, nanoseconds, bus, comment
+  return offset, packet, seconds, nanoseconds, bus
 end
 
 --- Read a frame once more.
