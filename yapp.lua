@@ -52,14 +52,14 @@ local function read_chosen_file()
   local text = file and "\n" .. file:read("*a") or ""
   return text:match("\nyapp%.messages:[ \t]*([^%s][^\r\n]*)") or ""
 end
-local chosen_files = { read_chosen_file(), os.getenv("YAPP_MESSAGES") or "" }
+local chosen_file, named_file = read_chosen_file(), os.getenv("YAPP_MESSAGES") or ""
 
-local catalogue_files = { { path = here .. "taurus_fields.lua" },
-  { path = Dir.personal_config_path("yapp_messages.lua"), optional = true } }
-for _, path in ipairs(chosen_files) do
-  if path ~= "" then table.insert(catalogue_files, { path = path }) end
-end
-local catalogue, mistakes = compiler.load(catalogue_files, show_fields.EXPERT_NAMES)
+local catalogue, mistakes = compiler.load {
+  { path = here .. "taurus_fields.lua" },
+  { path = Dir.personal_config_path("yapp_messages.lua"), optional = true },
+  { path = chosen_file, optional = chosen_file == "" },
+  { path = named_file, optional = named_file == "" },
+}
 preferences.complain(mistakes)
 
 -- Protocols and preferences -----------------------------------------------------------------------
@@ -261,7 +261,7 @@ end
 
 -- Return an error if the file with the user's own messages was not read.
 local function check_chosen_file(path)
-  if path == "" or path == chosen_files[1] or path == chosen_files[2] then return {} end
+  if path == "" or path == chosen_file or path == named_file then return {} end
   return { path .. " is read at the next start, if the default profile names it; for one run " ..
     "set the environment variable YAPP_MESSAGES to it" }
 end

@@ -111,15 +111,6 @@ function T.test_values_for_columns()
   lu.assertEquals(compiled.messages[1].by_name.v.filters, { "taurus.m.v.special", "taurus.m.v" })
 end
 
-function T.test_reserved_filter_names()
-  local reserved = { ["taurus.reboot"] = true, ["taurus.m.g.x"] = true }
-  local entries = { message { name = "reboot" }, message({ id = 2 }, { group = "g", flags = { { "x", 1, "X" } } }) }
-  local compiled, problems = catalogue.compile(entries, reserved)
-  lu.assertEquals({ #compiled.messages, problems }, { 0, {
-    "message reboot: the filter name taurus.reboot is taken; this message is not decoded",
-    "message m, field f: the filter name taurus.m.g.x is taken; this message is not decoded" } })
-end
-
 function T.test_one_bad_message_does_not_take_the_others_along()
   local compiled, problems = catalogue.compile { message { id = 9999 }, message { name = "n" } }
   lu.assertEquals({ #compiled.messages, compiled.by_id[1].name, #problems }, { 1, "n", 1 })

@@ -198,7 +198,7 @@ end
 
 -- Compile an entry and add it to the catalogue.
 -- context  the subject of errors: message, and field = ", field dc_voltage"
-local function add_message(catalogue, entry, reserved, context)
+local function add_message(catalogue, entry, context)
   context.message = entry.name or context.message
   demand(not input.find(catalogue.messages, entry.name), "the name is there twice")
   check(entry, "a message", MESSAGE_OPTIONS, math.huge)
@@ -228,7 +228,7 @@ local function add_message(catalogue, entry, reserved, context)
   for _, row in ipairs(entry.derived or {}) do
     add_generated(message_type, row[1], row[2], row[3], row.unit)
   end
-  filters.add(message_type, reserved, context)
+  filters.add(message_type, context)
   function message_type.read(payload)
     message_type.read = decode.new_reader(message_type) -- now: most captures have no YAPP
     return message_type.read(payload)
@@ -240,17 +240,16 @@ local function add_message(catalogue, entry, reserved, context)
 end
 
 --- Check a catalogue and compile it.
--- entries   the list of messages in taurus_fields.lua, described there
--- reserved  optional { [filter name] = true } that no message may use
--- files     optional: the file of each entry, for errors
--- returns   { messages = list of message types, by_id = { [id] = message type } } of the messages
---           without a mistake, and a list of texts, one for each other message: which field is
---           wrong and why
-function M.compile(entries, reserved, files)
+-- entries  the list of messages in taurus_fields.lua, described there
+-- files    optional: the file of each entry, for errors
+-- returns  { messages = list of message types, by_id = { [id] = message type } } of the messages
+--          without a mistake, and a list of texts, one for each other message: which field is
+--          wrong and why
+function M.compile(entries, files)
   local catalogue, problems = { messages = {}, by_id = {} }, {}
   for i, entry in ipairs(entries) do
     local context = { message = i, field = "" }
-    local ok, problem = pcall(add_message, catalogue, entry, reserved or {}, context)
+    local ok, problem = pcall(add_message, catalogue, entry, context)
     if not ok then
       local file = files and files[i] .. ": " or ""
       local text = "%smessage %s%s: %s; this message is not decoded"
@@ -278,11 +277,10 @@ local function add_file(all, path)
 end
 
 --- Read the files of the catalogue and compile them as one.
--- files     list of { path =, optional = true if the file may be missing }, in order: a message of
---           a later file replaces one of the same name
--- reserved  see M.compile
--- returns   as M.compile
-function M.load(files, reserved)
+-- files    list of { path =, optional = true if the file may be missing }, in order: a message of a
+--          later file replaces one of the same name
+-- returns  as M.compile
+function M.load(files)
   local all, problems = { entries = {}, paths = {}, indexes = {} }, {}
   for _, file in ipairs(files) do
     local ok, why = true, nil
@@ -292,7 +290,7 @@ function M.load(files, reserved)
       problems[#problems + 1] = text:format(file.path, tostring(why))
     end
   end
-  local catalogue, mistakes = M.compile(all.entries, reserved, all.paths)
+  local catalogue, mistakes = M.compile(all.entries, all.paths)
   return catalogue, joined(problems, mistakes)
 end
 

@@ -90,13 +90,12 @@ local function add_rounded(message_type, item, add)
   })
 end
 
---- Add all filters of a message type.  Raise that a name is there twice or is reserved.
--- reserved  { [filter name] = true } that no message may use
--- context   the subject of errors, see message.catalogue
-function M.add(message_type, reserved, context)
+--- Add all filters of a message type.  Raise that a name is there twice.
+-- context  the subject of errors, see message.catalogue
+function M.add(message_type, context)
   local taken, filters = {}, {}
   local function add(filter, ...)
-    input.demand(not (taken[filter] or reserved[filter]), "the filter name %s is taken", filter)
+    input.demand(not taken[filter], "the filter name %s is taken", filter)
     input.demand(filter:find("^[a-z0-9_.]+$"), "%q is no filter name (a-z, 0-9, _)", filter)
     taken[filter] = true
     table.insert(message_type.filters, { filter, ... })

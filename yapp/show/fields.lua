@@ -112,10 +112,6 @@ M.EXPERTS = {
   { "taurus.value.invalid", "Value that is not defined", "PROTOCOL", "WARN" },
 }
 
---- The filter names of all expert items: { [name] = true }.
-M.EXPERT_NAMES = {}
-for _, row in ipairs(M.EXPERTS) do M.EXPERT_NAMES[row[1]] = true end
-
 -- Make a field of the columns of a row behind its filter: type, title, description, base, values,
 -- mask.
 -- shape   base of a number, by its name in the API; or the width in bits of a boolean's field
