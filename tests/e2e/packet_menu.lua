@@ -5,30 +5,9 @@ if not os.getenv("YAPP_MENU") then return end -- run by Wireshark, in a plugin f
 package.path = "" -- the plugin finds its modules: no others, such as those of the folder where the tests run
 local show_menu = require("yapp.show.menu")
 
-local items, new_listener, copies = {}, Listener.new, {}
+local items = {}
 _G.register_packet_menu = function(title, act) items[title:match("/(.*)$")] = act end
-_G.copy_to_clipboard = io.write
 _G.new_dialog = function(_, _, row) io.write(row.value, "\n") end
-_G.retap_packets = coroutine.yield -- until all packets have been read
-
-local function new_tap(...)
-  local tap = new_listener(...)
-  return setmetatable({ remove = function() end }, { __newindex = function(_, name, value) tap[name] = value end })
-end
-
--- -z yappmenu,copy: each packet
-register_stat_cmd_arg("yappmenu,copy", function()
-  show_menu.register({}, { messages = {} })
-  _G.Listener = { new = new_tap }
-  for number = 1, 11 do
-    copies[number] = coroutine.wrap(items["Copy message as candump"])
-    copies[number]({ name = "frame.number", value = number })
-  end
-  local last = new_listener("frame")
-  function last.draw()
-    for _, copy in ipairs(copies) do copy() end
-  end
-end)
 
 -- -z yappmenu,needs: which field each item that filters needs
 register_stat_cmd_arg("yappmenu,needs", function()

@@ -2,14 +2,9 @@
 """Items of the menu of a packet, which only Wireshark's windows have: what they hand to them."""
 import pathlib
 
-import levels
 import tshark
 
 SCRIPT = pathlib.Path(__file__).with_name("packet_menu.lua")
-LOG = """(1700000000.000001) can0 08404000#BBBE6FC720000000
-(1700000000.000002) can0 00000000#015A014F80F380
-(1700000000.000003) can0 08400000##1FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000000E38CD23CE04E000005FF
-"""
 # The bus of a controller 0x210, the preference yapp.sources, and what is shown of it
 NAMES = [
     ("can1", "", "can1/0x210="),
@@ -29,23 +24,6 @@ NAMES = [
 
 def menu(capture, *arguments, asked="-"):
     return tshark.run("-X", f"lua_script:{SCRIPT}", "-q", "-r", capture, *arguments, env={"YAPP_MENU": asked}).stdout
-
-
-@levels.by_version
-def test_copy_as_candump(tmp_path):
-    """The lines of the log that was opened; those of a capture whose ids have the other byte order."""
-    path = tmp_path / "run.log"
-    path.write_text(LOG)
-    copy = "-z", "yappmenu,copy"
-    assert menu(path, *copy) == LOG
-    lines = menu(tshark.CAPTURES / "can/document_motor.pcap", *copy).splitlines()
-    assert [line.split()[2] for line in lines[:5]] == [
-        "08404000#BBBE6FC720000000", "08408000#FD7FFD7FFD7FFD7F", "08408000#F5AFFD7F18010000", "08408000#014000000000E38C",
-        "0840C000#D23CE04E000005FF"]
-    lines = menu(tshark.CAPTURES / "can/fd_single.pcap", *copy).splitlines()
-    assert [line.split()[2] for line in lines] == [
-        "08400000##0FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000000E38CD23CE04E000005FF",
-        "08000000##000CA9A3B000000007D325A465019640103000000", "00000000##0015A014F80F380"]
 
 
 def test_items_on_faults_need_a_message_with_faults():

@@ -181,12 +181,6 @@ def test_statistics_in_the_menu(captures):
         wireshark.click("Copy")
         assert gui.wait_for(wireshark.clipboard, 20).splitlines() == text.splitlines()
 
-        wireshark.click("Save")
-        wireshark.answer("YAPP Save", str(captures / "faults.txt"))
-        gui.wait_for((captures / "faults.txt").exists, 20)
-        assert (captures / "faults.txt").read_text().splitlines() == text.splitlines()
-
-        wireshark.wait_for_window("YAPP Faults")
         wireshark.click("Show")
         wireshark.wait_for_window("first.pcapng")
         wireshark.keys("ctrl+Home", "Tab", "ctrl+Right")

@@ -160,7 +160,7 @@ local NOTHING_CAME = "no YAPP message found: the capture has no packets, or -R r
 local function summary_line(expected)
   local columns, texts = options_of.BY_NAME.summary.columns, {}
   for _, column in ipairs(columns.all) do
-    local key = column.key
+    local key = column.name
     local text = expected[key] or column.kind and "0" or "null"
     if column.where:find("json") then texts[#texts + 1] = ('"%s":%s'):format(key, text) end
   end
@@ -1157,9 +1157,9 @@ function T.test_each_value_of_a_kind_is_a_column()
   local described = {}
   for _, column in ipairs(options_of.BY_NAME.events.columns.all) do
     if column.type then
-      lu.assertNil(described[column.key])
+      lu.assertNil(described[column.name])
       lu.assertStrContains(column.help, " ")
-      described[column.key] = true
+      described[column.name] = true
     end
   end
   for _, row in ipairs(kinds_of.LIST) do
@@ -1167,10 +1167,10 @@ function T.test_each_value_of_a_kind_is_a_column()
   end
   for _, row in ipairs(options_of.LIST) do
     for _, column in ipairs(row.columns.all) do
-      local is_in_line = column.where == "" or column.key == "near" -- JSON has it in some lines
+      local is_in_line = column.where == "" or column.name == "near" -- JSON has it in some lines
       local is_in_json = column.where:find("json") ~= nil or is_in_line
-      local again = row.name == "events" and column.key == "kind"
-      lu.assertTrue(again or is_in_json == (column.type ~= nil), column.key)
+      local again = row.name == "events" and column.name == "kind"
+      lu.assertTrue(again or is_in_json == (column.type ~= nil), column.name)
     end
   end
 end
@@ -1266,7 +1266,7 @@ local function all_words()
   end
   for _, row in ipairs(options_of.LIST) do
     for word in row.options:gmatch("%l+") do words[word] = true end
-    for _, column in ipairs(row.columns.all) do words[column.key] = true end
+    for _, column in ipairs(row.columns.all) do words[column.name] = true end
   end
   for _, column in ipairs(text_of.columns(MOTOR)) do words[column.name] = true end
   for word in pairs(words) do names[#names + 1] = word end

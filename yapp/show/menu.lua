@@ -43,33 +43,6 @@ local function bus_of(values)
   return bus and bus:gsub("\\(.)", "%1")
 end
 
--- Return the id and the data of a frame of YAPP as `candump -l` writes them.
--- offset  of the SocketCAN header: id, length, flags of CAN FD, two bytes, data
-local function candump_text(tvb, offset, id)
-  local length, flags = tvb(offset + 4, 1):uint(), tvb(offset + 5, 1):uint()
-  local fd = (length > 8 or flags > 3) and "#" .. flags % 4 or ""
-  return ("%08X#%s%s"):format(id, fd, tostring(tvb(offset + 8, length):bytes()))
-end
-
--- Copy the frames of a message as `candump -l` writes them.
-local function copy_as_candump(values)
-  local bus, lines = bus_of(values) or "can0", {}
-  local filter = "can.id && yapp.can.ctrl && (frame.number == %s || yapp.reassembled.in == %s)"
-  local tap = Listener.new("frame",
-    filter:format(values["frame.number"], values["yapp.reassembled.in"] or 0))
-  function tap.packet(pinfo, tvb)
-    for _, info in ipairs { all_field_infos() } do
-      if info.name == "can.id" then
-        local text = candump_text(tvb, info.offset, info.value)
-        lines[#lines + 1] = ("(%.6f) %s %s\n"):format(pinfo.abs_ts, bus, text)
-      end
-    end
-  end
-  retap_packets()
-  tap:remove()
-  copy_to_clipboard(table.concat(lines))
-end
-
 -- Ask for a name, in the text of the whole preference, which can be changed.
 local function ask_name(values, sources, catalogue)
   local bus, id = bus_of(values), tonumber(values["yapp.id"]:match("%d+"))
@@ -114,7 +87,6 @@ function M.register(prefs, catalogue, show_statistic)
   add_item("Name this controller ...", "yapp.id", function(values)
     ask_name(values, prefs.sources, catalogue)
   end)
-  add_item("Copy message as candump", "yapp.can.ctrl", copy_as_candump)
   add_item("Fault", "yapp.message.fault", function(values)
     local frame = values["yapp.reassembled.in"] or values["frame.number"]
     show_statistic("yapp,fault,frame=" .. frame)

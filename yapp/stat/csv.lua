@@ -55,17 +55,14 @@ local function begin(self, message_type, file)
   self.tables[message_type] = { file = file, rows = 0 }
 end
 
-local function path_of(self, name)
-  return self.options.folder .. "/" .. name
-end
-
 -- Create a file in the folder.  Overwrite one only with the option replace.  Raise why it cannot be
 -- written, without those before it.
 local function create(self, name)
-  local advice = not self.options.replace and "add the option replace to write it anew"
-  local file, problem = output.create(path_of(self, name), advice)
+  local options = self.options
+  local advice = not options.replace and "add the option replace to write it anew"
+  local file, problem = output.create(options.folder .. "/" .. name, advice)
   if not file then error("csv: " .. output.close_files(self.files, problem), 0) end
-  self.files[#self.files + 1] = file
+  table.insert(self.files, file)
   return file
 end
 
@@ -78,8 +75,7 @@ function M.new(options, context)
   local self = setmetatable({
     options = options,
     context = context,
-    files = {},
-    fields = nil, -- the file
+    files = {}, -- fields.json, then the tables
     tables = {}, -- by message: { file, rows = how many it has }
     parts = memo(parts_of), -- by source: a twentieth of the time
   }, Csv)
@@ -90,7 +86,7 @@ function M.new(options, context)
   if not context.make_folder(options.folder) then
     error(("csv: the folder %s cannot be made"):format(options.folder), 0)
   end
-  self.fields = create(self, "fields.json")
+  create(self, "fields.json")
   for _, message_type in ipairs(context.settings.catalogue.messages) do
     begin(self, message_type, create(self, message_type.name .. ".csv"))
   end
@@ -113,18 +109,17 @@ end
 
 --- End, see stat.answer.  A file that could not be written is EXIT_UNDECIDED.
 function Csv:finish(_, notes)
-  if self.options.chosen then return end
-  local context, settings, rows = self.context, self.context.settings, {}
+  local options, context, rows = self.options, self.context, {}
+  if options.chosen then return end
   local function list_of(message_type) return columns_of(self, message_type) end
-  self.fields:write(inventory.describe(settings, list_of, self.options.statistics) .. "\n")
+  self.files[1]:write(inventory.describe(context.settings, list_of, options.statistics) .. "\n")
   local problem = output.close_files(self.files)
   if problem then return output.EXIT_UNDECIDED, "csv: " .. problem end
-  for i, message_type in ipairs(settings.catalogue.messages) do
-    local path = path_of(self, message_type.name .. ".csv")
-    rows[i] = { file = path, rows = self.tables[message_type].rows }
+  for i, message_type in ipairs(context.settings.catalogue.messages) do
+    local written = self.tables[message_type]
+    rows[i] = { file = written.file.path, rows = written.rows }
   end
-  local title = "YAPP csv: " .. output.count(#rows, "table")
-  output.print(context, title, COLUMNS, rows, notes)
+  output.print(context, "YAPP csv: " .. output.count(#rows, "table"), COLUMNS, rows, notes)
 end
 
 return M

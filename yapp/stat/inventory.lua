@@ -58,29 +58,23 @@ end
 local function column_values(column)
   local field = column.field or {} -- common columns have none
   local about, is_integer = column.flag or field, column.type == "integer"
+  local is_float, kind = column.type == "float", is_integer and field.kind
   return {
     name = column.name,
     unit = column.unit,
     type = column.type,
     filter = about.filter,
     title = about.title,
-    low = column.type == "float" and field.min,
-    high = column.type == "float" and field.max,
-    kind = is_integer and field.kind,
-    bits = is_integer and field.kind and field.size * 8,
+    low = is_float and field.min,
+    high = is_float and field.max,
+    kind = kind,
+    bits = kind and field.size * 8,
     values = is_integer and field.values and meanings(field.values),
   }
 end
 
 local function formula_values(item)
-  return {
-    name = item.name,
-    of = item.a.name,
-    operator = item.operator,
-    less = item.b.name,
-    unit = item.unit,
-    title = item.title,
-  }
+  return setmetatable({ of = item.a.name, less = item.b.name }, { __index = item })
 end
 
 local function describe_message(message_type, columns)

@@ -83,39 +83,31 @@ end
 --- Add an event, see stat.answer.  Messages that were not decoded have one event for each source
 -- and size.
 function Lists:add_event(event)
-  local row = kinds.BY_NAME[event.kind]
-  if event.kind == "bus" then table.insert(self.bus_events, event) end
+  local kind = event.kind
+  local row = kinds.BY_NAME[kind]
+  if kind == "bus" then table.insert(self.bus_events, event) end
   local is_listed = self.what == "events" and row and not row.is_counted_only
-  local is_wanted = is_listed or event.kind == "fault"
-  local is_repeated = event.kind == "unknown" and event.values.count > 1
-  if is_wanted and not is_repeated then
-    self.list[#self.list + 1] = event
-  end
+  if kind == "unknown" and event.values.count > 1 then return end
+  if is_listed or kind == "fault" then self.list[#self.list + 1] = event end
 end
 
 --- Return the row of an event; its keys are those of a line of `events`.
 function M.event_row(context, event, ending)
-  local time = event.time
+  local kind, time = event.kind, event.time
   local row = {
-    kind = event.kind,
+    kind = kind,
     frame = event.frame,
     time = time and context.dates:value(time),
     rel = output.seconds(time),
-    details = nil,
-    keys = KEYS_OF_KIND[event.kind],
+    keys = KEYS_OF_KIND[kind],
   }
   for key, value in pairs(event.values) do
     row[key] = value
   end
   if ending.lacks_times then row.active, row.after = nil, nil end
   local function fill(key) return output.text(row[key], true) end
-  row.details = kinds.BY_NAME[event.kind].text:gsub("{(%w+)}", fill) .. (event.more or "")
+  row.details = kinds.BY_NAME[kind].text:gsub("{(%w+)}", fill) .. (event.more or "")
   return output.row(event.source, row)
-end
-
--- In the order of the capture.  Events without a packet come last.
-local function order_of(event)
-  return event.frame or math.huge
 end
 
 -- Return how many times a source had faults: one for all flags that are set without a break.
@@ -140,19 +132,16 @@ end
 local function merge(list)
   local merged, by_source = {}, memo(function() return {} end)
   for _, event in ipairs(list) do
-    local firsts, kind = by_source[event.source], event.kind
+    local kind, firsts = event.kind, by_source[event.source]
     local first = MERGED[kind] and firsts[kind]
-    if first then
-      first.times = first.times + 1
-      first.more = MORE:format(first.times, event.time or 0)
-      for key, value in pairs(first.values) do
-        if type(value) == "number" then first.values[key] = value + event.values[key] end
-      end
+    if not first then
+      firsts[kind], merged[#merged + 1] = event, event
     else
-      local values = {}
-      for key, value in pairs(event.values) do values[key] = value end
-      firsts[kind] = kinds.new_event(kind, event.frame, event.time, event.source, values)
-      firsts[kind].times, merged[#merged + 1] = 1, firsts[kind]
+      first.times = (first.times or 1) + 1
+      first.more = MORE:format(first.times, event.time or 0)
+      for key, value in pairs(event.values) do
+        if type(value) == "number" then first.values[key] = first.values[key] + value end
+      end
     end
   end
   return merged
@@ -167,7 +156,8 @@ function Lists:finish(ending, notes)
   end
   local count = #list
   if what == "events" then
-    output.sort(list, order_of)
+    -- Events without a packet come last.
+    output.sort(list, function(event) return event.frame or math.huge end)
     if self.context.frames and not self.context.json then list = merge(list) end
   else
     count = M.count_text(count_incidents(list), ending)

@@ -2,6 +2,7 @@
 -- The output of statistics: JSON lines, tables for people, and files, which exist only if
 -- they are complete; and the exit codes.  Pure Lua, 5.2 to 5.5.
 
+local joined = require "yapp.base.joined"
 local utf8 = require "yapp.base.utf8"
 
 local M = {}
@@ -50,11 +51,11 @@ function M.object(keys, values)
   return { json = "{" .. table.concat(texts, ",") .. "}" }
 end
 
---- A list of objects.
-function M.list(objects)
+--- A list of values.
+function M.list(values)
   local texts = {}
-  for i, object in ipairs(objects) do
-    texts[i] = object.json
+  for i, value in ipairs(values) do
+    texts[i] = M.value(value)
   end
   return { json = "[" .. table.concat(texts, ",") .. "]" }
 end
@@ -168,12 +169,6 @@ local COMMON = {
   },
 }
 
--- Return the heading of a column.
-local function title_of(column)
-  local key, unit = column.key, column.unit
-  return column.title or unit and key .. "/" .. unit or key
-end
-
 --- Read the columns of a table, a row each, in their order.
 -- rows     list of { key,
 --            where  the places that show it: "json", "text", "window", or several of them; nil
@@ -185,19 +180,20 @@ end
 --            title  above it, nil for the key and the unit; short = the same in a window
 --            help   its meaning: for fields.json and the pages that follow it };
 --          COMMON has the rest
--- returns  { json = list of keys, text, window = lists of { key, title }, all = list of all rows }
+-- returns  { json = list of names, text, window = lists of { name, title }, all = list of all rows,
+--          each with its key as its name }
 function M.columns(rows)
   local columns = { json = {}, text = {}, window = {}, all = {} }
   for i, row in ipairs(rows) do
-    local column = { key = row[1], where = "json text window" }
-    for name, value in pairs(COMMON[column.key] or {}) do column[name] = value end
-    for name, value in pairs(row) do column[name] = value end
-    column.title = title_of(column)
+    local name = row[1]
+    local column = { name = name, where = "json text window" }
+    for option, value in pairs(COMMON[name] or {}) do column[option] = value end
+    for option, value in pairs(row) do column[option] = value end
+    column.title = column.title or column.unit and name .. "/" .. column.unit or name
     columns.all[i] = column
     for place in column.where:gmatch("%l+") do
-      local is_short = place == "window" and column.short
-      local shown = { key = column.key, title = is_short and column.short or column.title }
-      table.insert(columns[place], place == "json" and column.key or shown)
+      local title = place == "window" and column.short or column.title
+      table.insert(columns[place], place == "json" and name or { name = name, title = title })
     end
   end
   return columns
@@ -210,11 +206,7 @@ local DESCRIBED = M.words("name type unit title help")
 function M.describe(columns)
   local list = {}
   for _, column in ipairs(columns.all) do
-    if column.type then
-      local about = { name = column.key, unit = column.unit, help = column.help }
-      about.type, about.title = column.type, column.title
-      list[#list + 1] = M.object(DESCRIBED, about)
-    end
+    if column.type then list[#list + 1] = M.object(DESCRIBED, column) end
   end
   return M.list(list)
 end
@@ -222,13 +214,6 @@ end
 -- Return the width of a text: in characters, not bytes.
 local function width_of(text)
   return select(2, text:gsub("[^\128-\191]", ""))
-end
-
--- Make room in a column for a text.
-local function widen(column, text)
-  column.width = math.max(column.width, width_of(text))
-  column.is_number = column.is_number and not text:find("[^%d.e+-]")
-  column.is_empty = column.is_empty and text == ""
 end
 
 -- Return a line of texts: of one width in each column, numbers to the right, without columns where
@@ -266,42 +251,29 @@ function M.sortable(name)
   return (name:gsub("%d+", function(digits) return format("%012d", digits) end))
 end
 
-local function itself(row)
-  return row
-end
-
--- Return the texts in the columns of a row.
-local function texts_of(columns, row, is_short)
-  local texts = {}
-  for i, column in ipairs(columns) do
-    texts[i] = M.text(row[column.key], is_short)
-  end
-  return texts
-end
-
 --- Print a table with aligned columns, a line a row.
 -- context, columns, rows, row_of  see M.print
 function M.table(context, columns, rows, row_of)
-  local frames, cells, titles = context.frames, {}, {}
-  row_of = row_of or itself
+  local frames, titles, cells = context.frames, {}, {}
+  local lines = { titles }
   for i, column in ipairs(frames and columns.window or columns.text) do
-    titles[i] = column.title
-    cells[i] = {
-      key = column.key,
-      width = width_of(column.title),
-      is_number = true,
-      is_empty = true,
-    }
+    local title = column.title
+    titles[i] = title
+    cells[i] = { name = column.name, width = width_of(title), is_number = true, is_empty = true }
   end
   for _, one in ipairs(rows) do
-    local row = row_of(one)
-    for i, text in ipairs(texts_of(cells, row, frames)) do widen(cells[i], text) end
+    local row, texts = row_of and row_of(one) or one, {}
+    for i, column in ipairs(cells) do
+      local text = M.text(row[column.name], frames)
+      texts[i] = text
+      column.width = math.max(column.width, width_of(text))
+      column.is_number = column.is_number and not text:find("[^%d.e+-]")
+      column.is_empty = column.is_empty and text == ""
+    end
+    lines[#lines + 1] = texts
     if frames then frames[#frames + 1] = row.frame or row.gap_max_frame end
   end
-  context.out(line_of(cells, titles))
-  for _, one in ipairs(rows) do
-    context.out(line_of(cells, texts_of(cells, row_of(one), frames)))
-  end
+  for _, texts in ipairs(lines) do context.out(line_of(cells, texts)) end
 end
 
 --- Print rows: for people under a title and the notes, or as a JSON object a line.
@@ -313,22 +285,16 @@ end
 -- row_of   function(one) -> a row, if rows are made only when they are printed: many take memory
 function M.print(context, title, columns, rows, notes, row_of)
   local out = context.out
-  row_of = row_of or itself
-  if context.json then
-    if context.frames then out(title .. "\n") end
-    for _, one in ipairs(rows) do
-      local row = row_of(one)
-      out(M.object(row.keys or columns.json, row).json .. "\n")
-    end
-    return
+  if not context.json then
+    out(table.concat(joined({ title }, notes), "\n") .. "\n")
+    if not rows[1] then return end
+    out("\n")
+    return M.table(context, columns, rows, row_of)
   end
-  out(title .. "\n")
-  for _, note in ipairs(notes) do
-    out(note .. "\n")
+  for _, one in ipairs(rows) do
+    local row = row_of and row_of(one) or one
+    out(M.object(row.keys or columns.json, row).json .. "\n")
   end
-  if not rows[1] then return end
-  out("\n")
-  M.table(context, columns, rows, row_of)
 end
 
 -- Files ---------------------------------------------------------------------------------------
@@ -369,12 +335,10 @@ function M.close_files(list, problem)
     note(file, file.problem or select(2, file.handle:close()))
   end
   for _, file in ipairs(list) do
-    local is_aside = file.aside ~= file.path
-    if is_aside and problem then
-      os.remove(file.aside)
-    elseif is_aside and not os.rename(file.aside, file.path) then
-      os.remove(file.path) -- on Windows a rename does not replace a file
-      note(file, select(2, os.rename(file.aside, file.path)))
+    local path, aside = file.path, file.aside
+    if path ~= aside then
+      os.remove(problem and aside or path) -- on Windows a rename does not replace a file
+      if not problem then note(file, select(2, os.rename(aside, path))) end
     end
   end
   return problem

@@ -80,7 +80,7 @@ local VALUES = output.columns {
 function M.row(group, ending, is_window)
   local row, names, ranges = {}, {}, {}
   for _, column in ipairs(M.COLUMNS.all) do
-    local key, value = column.key, nil
+    local key, value = column.name, nil
     if column.kind then
       value = group.counts[column.kind].seen
       if is_window and value == 0 then value = nil end

@@ -4,7 +4,6 @@
 
 local joined = require "yapp.base.joined"
 local options_of = require "yapp.stat.options"
-local output = require "yapp.stat.output"
 local preferences = require "yapp.host.preferences"
 local rules_of = require "yapp.stat.rules"
 local undecoded = require "yapp.stat.undecoded"
@@ -64,12 +63,7 @@ right of the status bar.  README.md and the folder docs of this plugin's
 files have more.
 ]]
 
--- Ask for one line.
-local function ask(title, label, default, on_answer)
-  new_dialog("YAPP " .. title, on_answer, { name = label, value = default })
-end
-
--- Return a path for a file of the user's: Lua does not know the folder of the capture.
+-- Return a path for a new folder of the user's: Lua does not know that of the capture.
 local function default_path(name)
   return (os.getenv("HOME") or os.getenv("USERPROFILE") or ".") .. "/yapp-" .. name
 end
@@ -98,7 +92,7 @@ local function with_menus(answer)
   return (answer:gsub("; try %-d ", "; choose in Analyze > Decode As: "))
 end
 
--- Open a window with a text.  Its buttons make the text anew, copy it, save it, show its frames.
+-- Open a window with a text.  Its buttons make the text anew, copy it, show its frames.
 -- make  function(on_progress) -> the text, the frames; see Stat:run
 -- stat  of stat.taps
 local function open_window(title, make, stat)
@@ -132,19 +126,10 @@ local function open_window(title, make, stat)
     set_text(OLD .. content)
   end
   window:set_atclose(function()
-    is_closed = true
-    on_packets_of[window] = nil
+    is_closed, on_packets_of[window] = true, nil
   end)
   window:add_button("Refresh", refresh_by_hand)
   window:add_button("Copy", function() copy_to_clipboard(content) end)
-  window:add_button("Save", function()
-    local path = default_path(title:lower():gsub(" ", "-") .. ".txt")
-    ask("Save", "New file", path, function(answer)
-      local is_named = answer and answer ~= ""
-      local problem = is_named and output.save(answer, content, "give another name")
-      if problem then report_failure("YAPP: not written: " .. problem) end
-    end)
-  end)
   window:add_button("Show frames", function() show_frames(frames) end)
   refresh_by_hand()
 end
@@ -174,16 +159,19 @@ end
 -- one.
 local help
 
+-- Return lines of two columns: the values of a key, and the help.
+local function lines_of(rows, key, width)
+  local lines = {}
+  for i, row in ipairs(rows) do
+    lines[i] = row[key] .. (" "):rep(width - #row[key]) .. row.help .. "\n"
+  end
+  return table.concat(lines)
+end
+
 local function open_help()
-  local lines, rules = "", ""
-  for _, row in ipairs(options_of.MENUS) do
-    lines = lines .. ("%-15s%s\n"):format(row.title, row.help)
-  end
-  for _, row in ipairs(joined(rules_of.LIST, rules_of.SUFFIXES)) do
-    rules = rules .. ("%-25s%s\n"):format(row.text, row.help)
-  end
+  local rules = joined(rules_of.LIST, rules_of.SUFFIXES)
   help = TextWindow.new("YAPP Help")
-  help:set(HELP:format(lines, rules))
+  help:set(HELP:format(lines_of(options_of.MENUS, "title", 15), lines_of(rules, "text", 25)))
 end
 
 --- Make the menus.
@@ -203,15 +191,13 @@ function M.register(stat)
   for _, row in ipairs(options_of.MENUS) do
     local argument = "yapp," .. row.name
     local function on_answer(answer)
-      if answer then
-        show(answer == "" and argument or argument .. "," .. answer)
-      end
+      show(answer == "" and argument or argument .. "," .. answer)
     end
-    local function action()
+    register_menu("YAPP/" .. row.title, function()
       if not row.ask then return show(argument) end
-      ask(row.title, row.ask, row.file and default_path(row.file) or "", on_answer)
-    end
-    register_menu("YAPP/" .. row.title, action, MENU_TOOLS_UNSORTED)
+      local default = row.file and default_path(row.file) or ""
+      new_dialog("YAPP " .. row.title, on_answer, { name = row.ask, value = default })
+    end, MENU_TOOLS_UNSORTED)
   end
   register_menu("YAPP/" .. DECODE, function() decode_by_size(stat) end, MENU_TOOLS_UNSORTED)
   register_menu("YAPP/Help", open_help, MENU_TOOLS_UNSORTED)
