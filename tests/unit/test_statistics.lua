@@ -585,6 +585,26 @@ function T.test_limits_over_another_field()
   lu.assertStrContains(printed, "of 0 values, 100 % more never judged: volts outside the points")
 end
 
+-- Six messages, 0.1 s apart: volts, and whether the flag is set; 255 is reserved.  Random ones stand in test_rules.py.
+function T.test_conditions_and_hold_times()
+  local records = {}
+  for i, one in ipairs { { 10, 1 }, { 20, 1 }, { 255, 1 }, { 32, 0 }, { 40, 1 }, { 50, 1 } } do
+    records[i] = record(i, i / 10, { payload = payload(one[1], one[2]) })
+  end
+  for rule, expected in pairs {
+    ["motor.volts=..9 when=fault.hot"] = "4 6", ["motor.volts=..9 when=!fault.hot"] = "1 4",
+    ["motor.volts=..9 when=fault.hot after=0.1"] = "2 6", -- 20 and 50
+    ["motor.volts=..9 when=volts=15.."] = "4 6", -- the reserved value does not break what lasts
+    ["motor.volts=..9 when=volts=15.. after=0.2"] = "3 6", ["motor.volts=..15 for=0.3"] = "4 6",
+    ["motor.volts=..25 for=0.15"] = "3 6", ["motor.volts=..45 for=0.1"] = "0 6",
+    ["motor.volts.over(volts)=10:0..60;50:0..20"] = "2 6", -- above 35 V
+    ["motor.volts.over(volts)=10:10..60;50:60..60"] = "4 6",
+    ["motor.volts.noise=1"] = "1.3333333333333333 null", -- of 20, 32 and 40: 1, 2 and 1
+  } do
+    lu.assertStrContains(verdicts(rule, records)[1], (" %s"):format(expected))
+  end
+end
+
 function T.test_a_report_for_ci()
   with_folder(function(folder)
     local path = folder .. "/report.xml"
