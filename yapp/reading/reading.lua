@@ -241,7 +241,7 @@ local function finding_result(self, packet, finding, index)
   if kind == "skipped" then return result end
   local message, is_usual = self:read_message(frame, transfer)
   result.message, result.anomalies = message, transfer.anomalies
-  result.is_usual = is_usual and not result.anomalies
+  result.is_usual = is_usual and not result.anomalies[1]
   return result
 end
 

@@ -313,22 +313,6 @@ end
 
 -- Transfers ---------------------------------------------------------------------------------------
 
--- List the anomalies of a frame, but for its CRC; return false for none.
-local function anomalies_of(transfer)
-  local list, missing = {}, transfer.missing
-  if missing then
-    list[1] = {
-      expert = transfer.status == "truncated" and "truncated" or "fragment.incomplete",
-      text = ("%d of the frame's %d bytes are missing"):format(missing, transfer.length + missing),
-    }
-  end
-  if transfer.reserved ~= 0 then
-    local text = "The reserved bytes are 0x%04x, not 0"
-    list[#list + 1] = { expert = "reserved.nonzero", text = text:format(transfer.reserved) }
-  end
-  return list[1] and list or false
-end
-
 --- Make the transfer of a finding.
 -- finding  of Streams:add
 -- bytes    of its packet
@@ -340,30 +324,35 @@ end
 --   bytes        that hold it if those of its packet do not, or nil
 --   packet_keys  of the packets that these came in, or nil
 --   payload      all of skipped bytes; of a frame also
---   id, seq, size, reserved  of the header; size = of the whole payload
+--   id, seq, size            of the header; size = of the whole payload
 --   crc, calculated          of a bad one
---   anomalies    list of { expert, text }, or false }
+--   anomalies    list of { expert } }
 function M.new_transfer(finding, bytes)
+  local status, anomalies = finding.status, {}
   local offset, length = finding.offset or 0, finding.to - finding.from
   bytes = (finding.bytes or bytes):sub(offset + 1, offset + length)
   local transfer = {
-    status = finding.status,
+    status = status,
     offset = offset,
     length = length,
     missing = finding.missing,
     bytes = finding.bytes,
     packet_keys = finding.packet_keys,
     payload = bytes,
+    anomalies = anomalies,
   }
-  if finding.status == "skipped" then return transfer end
+  if status == "skipped" then return transfer end
   local id, size, reserved, seq = frame.parse(bytes, 1)
-  transfer.id, transfer.seq, transfer.size, transfer.reserved = id, seq, size, reserved
+  transfer.id, transfer.seq, transfer.size = id, seq, size
   transfer.payload = bytes:sub(HEADER + 1, HEADER + size)
-  if finding.status == "bad" then
+  if status == "bad" then
     transfer.crc = frame.crc(bytes, length)
     transfer.calculated = crc.of(bytes:sub(1, -1 - frame.CRC_SIZE))
   end
-  transfer.anomalies = anomalies_of(transfer)
+  if finding.missing then
+    anomalies[1] = { expert = status == "truncated" and status or "fragment.incomplete" }
+  end
+  if reserved ~= 0 then table.insert(anomalies, { expert = "reserved.nonzero" }) end
   return transfer
 end
 
