@@ -298,7 +298,6 @@ function yapp.init()
   calls.begun, calls.ended = 1, 0
   buses:init()
   read_preferences()
-  headers:reset()
   if stat then stat:reset() end
   if streams then reset_reading() end
   if yapp.prefs.search_all or buses.found.may_have_frames then search_streams() end

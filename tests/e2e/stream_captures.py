@@ -630,18 +630,17 @@ def interleaved(rng, streams):
 
 
 def note_deltas(packets):
-    """The times of frames since the previous good message with the same ID of the same sender."""
+    """The times of good messages since the previous message with the same ID of the same sender."""
     previous = {}
     for packet in packets:
         origin = packet.origin
         for event in packet.events:
-            if event.kind != "skipped":
+            if event.kind == "good":
                 # In UDP and TCP a controller is one source, whoever talks with it; it receives Commands.
                 source = addresses(origin)[event.ident == 0] if origin.linktype == ETHERNET else (origin.pair, origin.direction)
                 key = (origin.interface, source, event.ident)
                 event.delta = (packet.time - previous[key]) * 1000 if key in previous else None
-                if event.kind == "good":
-                    previous[key] = packet.time
+                previous[key] = packet.time
 
 
 def capture(transport, seed, count):

@@ -17,38 +17,28 @@ local NAMES = { ["can.id"] = true, ["can.flags.xtd"] = true, ["can.flags.rtr"] =
 -- Where CAN frames come from: table, and value in it.
 local ORIGINS = { { "wtap_encap", wtap.SOCKETCAN }, { "sll.ltype", 0x0C }, { "sll.ltype", 0x0D } }
 
+-- Return the id that a header has: 29 bits; nil if it is of no extended data frame.  Above the id
+-- its first word has three bits: extended, remote, error.
+-- value  of ORIGINS
+local function read_id(tvb, _, value)
+  -- In its own encapsulation a preference says that a little endian machine wrote the records; in
+  -- cooked captures the id is in the host's order, little endian on every machine of today.
+  local is_little = value ~= wtap.SOCKETCAN or get_preference("can.byte_swap")
+  if tvb:len() < HEADER then return nil end
+  local bytes = tvb(0, 4)
+  local word = is_little and bytes:le_uint() or bytes:uint()
+  return word >= EXTENDED and word < EXTENDED + MASK and word % MASK or nil
+end
+
 local Headers = {}
 Headers.__index = Headers
 
 local function is_true(value) return value == true or value == 1 end
 
--- Return the 29-bit id of the first word of a SocketCAN record, nil for no extended data frame.
--- Above the id it has three bits: extended, remote, error.
-local function data_id(word)
-  return word >= EXTENDED and word < EXTENDED + MASK and word % MASK or nil
-end
-
 --- Make the reader of headers.
 -- proto  Proto for the wrapper
 function M.new(proto)
-  local self = setmetatable({
-    number = false, -- of the packet whose header was read last
-    id = nil, -- that the header has: 29 bits; nil if it is of no extended data frame
-  }, Headers)
-  self.wrapper = wrapper.new(proto, ORIGINS, function(tvb, pinfo, value)
-    -- In its own encapsulation a preference says that a little endian machine wrote the records; in
-    -- cooked captures the id is in the host's order, little endian on every machine of today.
-    local is_little = value ~= wtap.SOCKETCAN or get_preference("can.byte_swap")
-    local word = tvb:len() >= HEADER and tvb(0, 4)
-    self.number = pinfo.number
-    self.id = word and data_id(is_little and word:le_uint() or word:uint()) or nil
-  end)
-  return self
-end
-
---- Forget the capture file.
-function Headers:reset()
-  self.number = false
+  return setmetatable({ wrapper = wrapper.new(proto, ORIGINS, read_id) }, Headers)
 end
 
 --- Read the header of every frame from now on.
@@ -64,7 +54,8 @@ end
 --- Return the id of the current frame, which did not come through the table of ids.
 -- returns  29-bit id; nil if it is no extended data frame; nil and true if nothing tells
 function Headers:find_id(pinfo)
-  if self.number == pinfo.number then return self.id end
+  local is_read, header_id = self.wrapper:read(pinfo.number)
+  if is_read then return header_id end
   local fields = fields_of(NAMES)
   local id, extended = fields["can.id"], fields["can.flags.xtd"]
   if id ~= nil and extended ~= nil then return is_true(extended) and id % MASK or nil end
@@ -77,7 +68,8 @@ end
 --- Return whether a header or a field says that a frame of zeros is a remote frame: remote frames
 -- have no data, but captures give them zeros.  Return nil if nothing says it.
 function Headers:is_remote(pinfo)
-  if self.number == pinfo.number then return self.id == nil end
+  local is_read, id = self.wrapper:read(pinfo.number)
+  if is_read then return id == nil end
   local remote = fields_of(NAMES)["can.flags.rtr"]
   if remote ~= nil then return is_true(remote) end
 end

@@ -53,11 +53,9 @@ end
 -- Dissect a packet.
 local function dissect(self, tvb, pinfo, tree)
   local value = pinfo.match_uint
-  local inner = self.inner and self.inner[value]
-  if not inner then return 0 end
   local header = self.before(tvb, pinfo, value)
   self.number, self.header = pinfo.number, header
-  local taken = call_inner(inner, tvb, pinfo, tree)
+  local taken = call_inner(self.inner[value], tvb, pinfo, tree)
   if self.after and header then self.after(header, tvb, pinfo, tree) end
   return taken
 end
@@ -65,13 +63,13 @@ end
 --- Begin to see packets.
 function Wrapper:start()
   if self.inner then return end
-  local inner = {}
-  self.inner = inner
+  self.inner = {}
   function self.proto.dissector(...) return dissect(self, ...) end
   for _, entry in ipairs(self.entries) do
     local dissectors, value, name = DissectorTable.get(entry[1]), entry[2], entry[3]
-    inner[value] = dissectors:get_dissector(value) or name and Dissector.get(name)
-    if inner[value] then dissectors:add(value, self.proto) end
+    local inner = dissectors:get_dissector(value) or name and Dissector.get(name)
+    self.inner[value] = inner
+    if inner then dissectors:add(value, self.proto) end
   end
 end
 
@@ -85,10 +83,10 @@ function Wrapper:stop()
   self.inner, self.number, self.header = nil, nil, nil
 end
 
---- Return what the header of a packet says, nil if it was not read.
+--- Return whether the header of a packet was read, and what it says.
 -- number  of the packet
 function Wrapper:read(number)
-  return self.number == number and self.header or nil
+  return self.number == number, self.header
 end
 
 return M
