@@ -139,7 +139,6 @@ function T.test_buses()
       { pcap(SLL2, { can_over_sll2(3), IP_OVER_SLL2, can_over_sll2(7), can_over_sll2(3) }, number),
         "1 - 2 1" },
       { pcap(SLL2, { can_over_sll2(3), can_over_sll2(2 ^ 31 + 3) }, number), "1 2" },
-      { pcap(SLL2 + 0x10000000, { can_over_sll2(3), can_over_sll2(4) }, number), "1 2" },
       { pcap(RTAC, { rtac(1), rtac(2), rtac(3), rtac(4), rtac(9), "x" }, number), "1 2 1 2 1 1" },
       { pcap(RTAC, { rtac(2), rtac(4) }, number), "" },
       { pcap(SLL, { CAN_OVER_SLL, FD_OVER_SLL }, number), "" },
@@ -225,7 +224,8 @@ function T.test_directions_by_fields()
   } do
     local found = read(section(number) .. interface(row[1], number, tty))
     for i, direction in ipairs { 2, 1 } do
-      local bus = found:bus_by_fields(0, 0, nil, "ttyS0", direction)
+      local bus = found:bus_by_fields { ["frame.interface_id"] = 0, ["frame.interface_name"] = "ttyS0",
+        ["frame.packet_flags_direction"] = direction }
       lu.assertEquals(found:name(bus, false), row[2][i])
     end
   end
@@ -246,15 +246,14 @@ local function do_stamps_differ(head)
   return capture.read(head, function() end).stamps_differ
 end
 
--- Two stamps of one interface differ, in the part of the file that is there; another interface may have another unit.
+-- Two stamps differ, in the part of the file that is there.
 function T.test_whether_stamps_differ()
   for _, number in ipairs { le, be } do
     local head = section(number) .. interface(CAN, number) .. interface(CAN, number)
     local function of(...) return do_stamps_differ(head .. table.concat { ... }) end
     local first, later = packet(0, "a", number, 2 ^ 33), packet(0, "bc", number, 2 ^ 33 + 1)
     lu.assertEquals({ of(first, later), of(first, first, later) }, { true, true })
-    lu.assertEquals({ of(), of(first), of(first, first), of(first, packet(1, "a", number, 7)) },
-      { false, false, false, false })
+    lu.assertEquals({ of(), of(first), of(first, first) }, { false, false, false })
     lu.assertTrue(of(first, packet(1, "a", number, 7), later))
     lu.assertEquals({ of(first, later:sub(1, -2)), of(first, later, later:sub(1, 20)) }, { false, true })
     lu.assertFalse(of(first, ("\0"):rep(40)))
@@ -307,8 +306,7 @@ end
 -- A read filter shifts the numbers: Wireshark's time of a packet is another than the file's.
 function T.test_the_time_tells_whether_a_number_is_still_this_packets()
   local seconds = 1700000000.25
-  for exponent, per_second in pairs { ["\6"] = 1e6, ["\3"] = 1e3, ["\138"] = 2 ^ 10, ["\0"] = 1,
-    ["\9"] = 1e9 } do
+  for exponent, per_second in pairs { ["\6"] = 1e6, ["\3"] = 1e3, ["\0"] = 1, ["\9"] = 1e9 } do
     for _, number in ipairs { le, be } do
       local options = option(9, exponent, number)
       local function at(time) return math.floor(time * per_second + 0.5) end
@@ -431,13 +429,16 @@ function T.test_interfaces_behind_the_head()
     local one = read(file)
     return { one.is_unknown, one.is_told, one:name(nil) or "-", one:name(nil, true) or "-" }
   end
-  lu.assertEquals(found(70), { true, false, "-", "eth0" })
+  lu.assertEquals(found(70), { true, true, "-", "eth0" })
   lu.assertEquals(found(10), { false, true, "can0", "-" })
 end
 
 function T.test_buses_by_fields()
   local found = read(section(le) .. interface(CAN, le, option(2, "can0", le)))
-  local function bus(...) return found:bus_by_fields(...) end
+  local function bus(id, index, event, name)
+    return found:bus_by_fields { ["frame.interface_id"] = id, ["sll.ifindex"] = index, ["rtacser.eventtype"] = event,
+      ["frame.interface_name"] = name }
+  end
   lu.assertEquals({ bus(0, 0), bus(1, 0, nil, "can1"), bus(0, 0), bus(2, 0, nil, "can1"), bus(3, 0) },
     { 1, 2, 1, 3, 4 })
   lu.assertEquals({ found:name(1), found:name(2), found:name(3), found:name(4) },
@@ -488,8 +489,6 @@ function T.test_packets_that_were_dropped()
       { one .. packet(0, "x", number, 0, drop_option(4, number)) .. statistics(0, number, counted) ..
         statistics(0, number, option(5, number(9, 8), number)),
         { "0.0 1 can0 4", "- - can0 3", "- - can0 2" } },
-      -- what the operating system dropped
-      { one .. statistics(0, number, option(7, number(6, 8), number)), { "- - can0 6" } },
       { one .. statistics(3, number, counted), {} }, -- no such interface
     }
     for i, row in ipairs(rows) do
@@ -534,7 +533,6 @@ function T.test_the_first_time()
     lu.assertEquals(first(9, 395812094, 1032178965), { 1700000000, 123456789 })
     lu.assertEquals(first(6, 395812, 404759104, 3600), { 1700003600, 123456000 })
     lu.assertEquals(first(0, 0, 1700000000), { 1700000000, 0 })
-    lu.assertEquals(first(138, 0, 1024 + 512), { 1, 500000000 })
     lu.assertEquals(first(12, 0, 1500), { 0, 1 })
   end
   lu.assertEquals(read(pcap(CAN, { "x", "y" }, be)).first, { 1, 250000000 })

@@ -77,30 +77,38 @@ end
 
 -- Buses -------------------------------------------------------------------------------------------
 
-local SOCKETCAN, COOKED, COOKED_2, RTAC = 227, 113, 276, 250
+local COOKED_2, RTAC = 276, 250
 local IS_CAN = { ["\0\12"] = true, ["\0\13"] = true } -- protocols of Linux cooked captures
 local EVENT_DIRECTIONS = { "tx", "rx", "tx", "rx" } -- of an RTAC packet by its event
 local FLAG_DIRECTIONS = { [0] = 0, "rx", "tx" } -- by the lowest two bits of a packet's flags
-
--- By link type that may carry YAPP: function(head, flags) -> the index of a packet's bus in its
--- interface, nil for a packet that carries none; 0 where the interface is one bus.
--- head   the first HEADER bytes of the packet
--- flags  of the packet
 local HEADER = 8 + 1
-local INDEX_OF = { [SOCKETCAN] = 0, [COOKED] = 0 }
 
-INDEX_OF[RTAC] = function(head) return EVENT_DIRECTIONS[byte(head, 9)] or "tx" end
-
-INDEX_OF[COOKED_2] = function(head)
-  if not IS_CAN[sub(head, 1, 2)] or #head < HEADER then return nil end
-  local a, b, c, d = byte(head, 5, 8)
-  return a * 0x1000000 + b * 0x10000 + c * 0x100 + d
-end
-
--- Serial lines: exported PDUs and DLT_USER 0 .. 15.
 local function index_by_flags(_, flags) return FLAG_DIRECTIONS[flags % 4] or 0 end
-INDEX_OF[252] = index_by_flags
-for linktype = 147, 162 do INDEX_OF[linktype] = index_by_flags end
+
+-- By link type that may carry YAPP: {
+--   index_of  function(head, flags) -> the index of a packet's bus in its interface, nil for a
+--             packet that carries none; nil where the interface is one bus.  head has the first
+--             HEADER bytes of the packet
+--   option    of tshark that decodes YAPP in it; or nil }
+local LINKS = {
+  [227] = {}, -- SocketCAN
+  [113] = {}, -- Linux cooked
+  [COOKED_2] = {
+    index_of = function(head)
+      if not IS_CAN[sub(head, 1, 2)] or #head < HEADER then return nil end
+      local a, b, c, d = byte(head, 5, 8)
+      return a * 0x1000000 + b * 0x10000 + c * 0x100 + d
+    end,
+  },
+  [RTAC] = {
+    index_of = function(head) return EVENT_DIRECTIONS[byte(head, 9)] or "tx" end,
+    option = "-d rtacser.data,yapp_serial",
+  },
+  [252] = { index_of = index_by_flags }, -- exported PDUs, of serial lines
+}
+for linktype = 147, 162 do -- DLT_USER 0 .. 15
+  LINKS[linktype] = { index_of = index_by_flags, option = "-o yapp.user_dlt:" .. linktype }
+end
 
 local File = {}
 File.__index = File
@@ -123,32 +131,40 @@ end
 -- offset   of its data
 -- seconds  since 1970
 local function keep_bus(self, window, interface, offset, flags, seconds)
-  local index = INDEX_OF[interface.linktype]
-  if index and index ~= 0 then index = index(window:bytes(offset, HEADER), flags) end
+  local link = interface.link
+  local index = link and 0
+  if link and link.index_of then index = link.index_of(window:bytes(offset, HEADER), flags) end
   self.bus_by_number[self.count] = index and bus_number(self, interface, index) or 0
   self.stamps[self.count] = seconds
 end
 
--- Add an interface to those of the file.
--- name  nil for none
-local function add_interface(self, linktype, name)
-  local interface = {
-    number = #self.interfaces, -- in the file
-    linktype = linktype,
+-- Return a new interface.
+-- number    in the file
+-- linktype  nil if it is not known; name is nil for none
+local function new_interface(number, linktype, name)
+  local link = LINKS[linktype or false]
+  return {
+    number = number,
+    link = link,
+    is_serial = link and link.index_of == index_by_flags,
     name = name and utf8.printable(name),
     per_second = 1e6, -- time units
     shift = 0, -- seconds to add to its times
     buses = {}, -- by index
-    stamp = nil, -- that of its first packet
     accounted = 0, -- dropped packets that are among the drops
   }
+end
+
+-- Add an interface to those of the file.
+local function add_interface(self, linktype, name)
+  local interface = new_interface(#self.interfaces, linktype, name)
   self.interfaces[#self.interfaces + 1] = interface
-  local index = INDEX_OF[linktype]
-  if not index then return interface end
-  if index == 0 then bus_number(self, interface, index) end
+  local link = interface.link
+  if not link then return interface end
+  if not link.index_of then bus_number(self, interface, 0) end
   self.yapp_interfaces = self.yapp_interfaces + 1
   self.has_indexes = self.has_indexes or linktype == COOKED_2
-  if not self.keeps and (index ~= 0 or self.yapp_interfaces > 1) then
+  if not self.keeps and (link.index_of or self.yapp_interfaces > 1) then
     self.keeps = true
     for number = 1, self.count do self.bus_by_number[number] = 1 end
   end
@@ -157,25 +173,23 @@ end
 
 -- Times -------------------------------------------------------------------------------------------
 
--- Compare a time stamp with the first one of its interface: others may begin at another time.  A
--- recorder without a clock gives all packets one stamp.
-local function compare_stamp(self, interface, seconds)
-  interface.stamp = interface.stamp or seconds
-  if seconds ~= interface.stamp then self.stamps_differ = true end
+-- Compare a time stamp with the first one: a recorder without a clock gives all packets one stamp.
+local function compare_stamp(self, seconds)
+  self.stamp = self.stamp or seconds
+  if seconds ~= self.stamp then self.stamps_differ = true end
 end
 
 -- Divide a stamp exactly: 1700000000123456789 units of 10^-9 s do not fit into a double.
--- high, low   halves of it, of 32 bits
--- per_second  number of units in a second
--- returns     { seconds, nanoseconds }
-local function exact_time(high, low, per_second)
-  local whole = high * 2 ^ 32
+-- high, low  halves of it, of 32 bits
+-- returns    { seconds, nanoseconds }
+local function exact_time(high, low, interface)
+  local per_second, whole = interface.per_second, high * 2 ^ 32
   local rest = math.fmod(whole, per_second) -- exact, which % is not in Lua 5.2
-  local units = (rest + low) % per_second
-  local seconds = (whole - rest) / per_second + floor((rest + low) / per_second)
-  local is_fine = per_second > 1e9
-  local nanoseconds = is_fine and units / (per_second / 1e9) or units * (1e9 / per_second)
-  return { floor(seconds), floor(nanoseconds) }
+  local units = rest + low
+  return {
+    floor((whole - rest) / per_second) + floor(units / per_second) + interface.shift,
+    floor(units % per_second * 1e9 / per_second),
+  }
 end
 
 -- pcapng ------------------------------------------------------------------------------------------
@@ -194,12 +208,6 @@ local function read_options(window, offset, stop)
   return options
 end
 
--- Time units in a second, by the option if_tsresol.
-local function units_per_second(option)
-  local exponent = option and byte(option) or 6
-  return exponent < 128 and 10 ^ exponent or 2 ^ (exponent - 128)
-end
-
 -- The functions in BLOCKS, below, read a block of `length` bytes, of which the first CHUNK are
 -- available.  They return true to read no further.
 
@@ -208,8 +216,8 @@ local function read_interface(self, window, offset, length)
   local options = read_options(window, offset + 16, offset + length - 4)
   local name = (options[2] or ""):match("^[^\0]+")
   local interface = add_interface(self, window:number(offset + 8, 2), name)
-  interface.per_second = units_per_second(options[9])
-  interface.shift = window:value(options[14] or "")
+  interface.per_second = 10 ^ byte(options[9] or "\6") -- if_tsresol
+  interface.shift = window:value(options[14] or "") -- if_tsoffset
 end
 
 -- Add packets of an interface that were dropped.
@@ -221,23 +229,17 @@ local function add_drops(self, interface, count, seconds, number)
     { time = seconds, frame = number, bus = interface.name, count = count }
 end
 
--- Read the bus of the latest packet, and the packets that were dropped in front of it.
-local function read_facts(self, window, offset, length, interface, seconds, captured)
-  local is_serial = INDEX_OF[interface.linktype] == index_by_flags
-  local options, data = {}, offset + 28
-  if is_serial or window.may_have_drops then
-    options = read_options(window, data + captured + -captured % 4, offset + length - 4)
-    add_drops(self, interface, window:value(options[4] or ""), seconds, self.count)
-  end
-  if is_serial and not self.has_serial_frames then
-    self.has_serial_frames = has_header(window:bytes(data, length))
-  end
-  if self.keeps then
-    keep_bus(self, window, interface, data, window:value(options[2] or ""), seconds)
-  end
+-- Return the options of a packet where they tell anything, and add the packets that were dropped in
+-- front of it.
+local function read_packet_options(self, window, interface, offset, stop, seconds)
+  if not (interface.is_serial or window.may_have_drops) then return {} end
+  local options = read_options(window, offset, stop)
+  add_drops(self, interface, window:value(options[4] or ""), seconds, self.count)
+  return options
 end
 
--- Read a block with a packet of an interface: its number in the section.
+-- Read a block with a packet of an interface, by its number in the section: its bus, its time and
+-- its options.
 local function read_packet(self, window, offset, length, number)
   self.count = self.count + 1
   local is_wanted = self.keeps or window.may_have_drops or not self.stamps_differ
@@ -245,22 +247,26 @@ local function read_packet(self, window, offset, length, number)
   local interface = self.interfaces[self.first_interface + number + 1]
   if length < 32 or not interface then return true end
   local high, low, captured = three_numbers(window, offset + 12)
+  if self.count == 1 then self.first = exact_time(high, low, interface) end
   local seconds = (high * 2 ^ 32 + low) / interface.per_second + interface.shift
-  if self.count == 1 then
-    self.first = exact_time(high, low, interface.per_second)
-    self.first[1] = self.first[1] + interface.shift
+  compare_stamp(self, seconds)
+  local data = offset + 28
+  local options = read_packet_options(self, window, interface, data + captured + -captured % 4,
+    offset + length - 4, seconds)
+  if interface.is_serial and not self.has_serial_frames then
+    self.has_serial_frames = has_header(window:bytes(data, length))
   end
-  compare_stamp(self, interface, seconds)
-  read_facts(self, window, offset, length, interface, seconds, captured)
+  if self.keeps then
+    keep_bus(self, window, interface, data, window:value(options[2] or ""), seconds)
+  end
 end
 
--- Read how many packets an interface, or its operating system, dropped so far.
+-- Read how many packets an interface dropped so far.
 local function read_statistics(self, window, offset, length, number)
   local interface = self.interfaces[self.first_interface + number + 1]
   if not interface then return end
   local options = read_options(window, offset + 20, offset + length - 4)
-  local own, by_system = window:value(options[5] or ""), window:value(options[7] or "")
-  add_drops(self, interface, max(own, by_system) - interface.accounted)
+  add_drops(self, interface, window:value(options[5] or "") - interface.accounted)
 end
 
 -- A block that Wireshark gives a frame number, too.  If it is the first one, Wireshark counts no
@@ -291,41 +297,41 @@ local BLOCKS = {
 
 local SECTION = 0x0A0D0D0A
 
--- Begin a section, which has its own byte order and numbers its interfaces from 0.
--- returns  the length of its block
-local function read_section(self, window, offset)
-  window.is_little = window:bytes(offset + 8, 4) == "\77\60\43\26"
-  find_drop_option(window)
-  self.first_interface = #self.interfaces
-  return window:number(offset + 4, 4)
-end
-
+-- A section has its own byte order and numbers its interfaces from 0.
 local function read_pcapng(self, window)
   local offset = 0
   while window:has(offset, 12) do
     local kind, length, number = three_numbers(window, offset)
-    if kind == SECTION then length = read_section(self, window, offset) end
+    if kind == SECTION then
+      window.is_little = window:bytes(offset + 8, 4) == "\77\60\43\26"
+      find_drop_option(window)
+      self.first_interface = #self.interfaces
+      length = window:number(offset + 4, 4)
+    end
     length = length + -length % 4 -- as Wireshark does it
     local is_there = length >= 12 and window:has(offset, math.min(length, CHUNK))
     local read = BLOCKS[kind]
     if not is_there or read and read(self, window, offset, length, number) then break end
     offset = offset + length
   end
+  local has_packets, may_carry_yapp = self.count > 0, self.yapp_interfaces > 0
+  self.is_live = not has_packets and (may_carry_yapp or #self.interfaces == 0)
+  return has_packets
 end
 
 -- pcap --------------------------------------------------------------------------------------------
 
 local function read_pcap(self, window, is_little, fractions)
   window.is_little = is_little
-  local linktype = window:number(20, 4) % 0x10000 -- above it: the length of check sequences
+  local linktype = window:number(20, 4)
   local interface, offset = add_interface(self, linktype), 24
-  self.has_packets = window:has(24, 16)
   self.keeps = linktype == COOKED_2 or linktype == RTAC -- packets of others have no flags
+  self.has_one_bus = not self.keeps
   while offset + 16 <= window.stop or self.keeps and window:has(offset, 16) do
     local seconds, fraction, length = three_numbers(window, offset)
     self.first = self.first or { seconds, floor(fraction * 1e9 / fractions) }
     local time = seconds + fraction / fractions
-    compare_stamp(self, interface, time)
+    compare_stamp(self, time)
     if self.keeps then
       self.count = self.count + 1
       window:has(offset, 16 + HEADER)
@@ -335,10 +341,11 @@ local function read_pcap(self, window, is_little, fractions)
     end
     offset = offset + 16 + length
   end
+  return self.first ~= nil
 end
 
--- By the first four bytes of a file: the function that reads it; of pcap, true if it is little
--- endian, and the fractions of a second in its times.
+-- By the first four bytes of a file: the function that reads it, and returns whether it has
+-- packets; of pcap, true if it is little endian, and the fractions of a second in its times.
 local FORMATS = {
   ["\212\195\178\161"] = { read_pcap, true, 1e6 },
   ["\161\178\195\212"] = { read_pcap, false, 1e6 },
@@ -349,80 +356,63 @@ local FORMATS = {
 
 -- The facts of a file -----------------------------------------------------------------------------
 
--- Set the facts that are known once all packets have been read.
-local function conclude(self, has_frame, is_pcapng)
-  local has_packets, may_carry_yapp = self.has_packets or self.count > 0, self.yapp_interfaces > 0
-  self.is_live = is_pcapng and not has_packets and (may_carry_yapp or #self.interfaces == 0)
-  self.may_add_buses = may_carry_yapp and (is_pcapng or self.keeps)
-  self.has_several = #self.buses > 1 or self.is_live and self.has_indexes
-  self.may_have_frames = has_frame or not has_packets
-end
-
-local function new_file()
-  return setmetatable({
+--- Read the buses of a file.  Of a file without YAPP only the first bytes are read.
+-- head  its first bytes, M.HEAD at most
+-- more  function(skip, count) -> the next bytes behind so many that are skipped, at most `count`;
+--       nil at the end, and where a pipe must be left alone
+-- returns a file, whose fields from `has_several` on others read
+function M.read(head, more)
+  local magic, has_frame = sub(head, 1, 4), has_header(head)
+  local format = FORMATS[magic]
+  local self = setmetatable({
     yapp_interfaces = 0, -- number of interfaces that may carry YAPP
-    count = 0,
     keeps = false, -- true if packets may be of several buses
     has_indexes = false, -- true if Linux cooked v2 is among the interfaces
-    has_serial_frames = false,
     bus_by_number = {}, -- of packets; 0 where its interface carries no YAPP
     stamps = {}, -- when they were captured, seconds since 1970; nil not to compare
     interfaces = {}, -- of the file
     first_interface = 0, -- number of interfaces in the sections before
     buses = {}, -- list of { interface, name, index }
     uses = {}, -- by name: how many buses have it
+    has_one_bus = false, -- true if all packets are of one bus, also those not read
+    has_several = false, -- true if it has several buses, or will have them in a live capture
+    may_add_buses = false, -- true if packets that were not read may be of another bus
+    is_live = false, -- true if it is pcapng without a packet yet, as when a capture begins
+    is_told = format ~= nil, -- true if it is of a format that this module reads
+    -- True if it may have buses that this module cannot tell apart: a file of Vector BLF, or pcapng
+    -- that was not read to its end and may describe them later, or that has several interfaces of
+    -- which none is a bus.
+    is_unknown = magic == "LOGG",
+    count = 0, -- how many packets were read
+    -- List of { time = seconds since 1970 or nil, frame = number of the packet behind the loss or
+    -- nil, bus = name or nil, count = packets that were dropped }.
     drops = {},
-    first = nil,
-    lacks_times = false,
-    stamps_differ = false,
-    has_packets = false,
-    is_unknown = false,
+    stamp = nil, -- of the first packet that was compared
+    first = nil, -- { seconds, nanoseconds } since 1970 of the first packet; nil if not known
+    lacks_times = false, -- true if packets have no time stamps
+    stamps_differ = false, -- true if two of the packets that were read have different ones
+    has_serial_frames = false, -- true if a packet of a serial line in pcapng may have a frame
+    may_have_frames = false, -- true if its head may have frames, or it has no packets yet
   }, File)
-end
-
---- Read the buses of a file.  Of a file without YAPP only the first bytes are read.
--- head  its first bytes, M.HEAD at most
--- more  function(skip, count) -> the next bytes behind so many that are skipped, at most `count`;
---       nil at the end, and where a pipe must be left alone
--- returns a file: {
---   may_add_buses  true if packets that were not read may be of another bus
---   has_several   true if it tells several buses apart, or will do so in a live capture
---   is_live       true if it is pcapng without a packet yet, as when a capture begins
---   is_told       true if it is of a format that this module reads
---   is_unknown    true if it may have buses that this module cannot tell apart: a file of Vector
---                 BLF, or pcapng that was not read to its end and may describe them later, or that
---                 has several interfaces of which none is a bus
---   count         how many packets were read
---   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
---                 the loss or nil, bus = name or nil, count = packets that were dropped }
---   first         { seconds, nanoseconds } since 1970 of the first packet; nil if not known
---   lacks_times   true if packets have no time stamps
---   stamps_differ true if two of the packets that were read have different ones
---   has_serial_frames  true if a packet of a serial line in pcapng may have a YAPP frame
---   may_have_frames  true if its first bytes may have YAPP frames, or it has no packets yet }
-function M.read(head, more)
-  local self, has_frame = new_file(), has_header(head)
   local window = setmetatable({ text = head, start = 0, stop = #head, is_little = true }, Window)
   function window.more(skip, count)
     if self.yapp_interfaces > 0 or has_frame then return more(skip, count) end
     self.is_unknown = #head >= M.HEAD
   end
-  local magic = sub(head, 1, 4)
-  local format = FORMATS[magic]
-  if format then format[1](self, window, format[2], format[3]) end
-  local has_no_bus = #self.interfaces > 1 and self.yapp_interfaces == 0
-  self.is_unknown = self.is_unknown or has_no_bus or magic == "LOGG"
-  self.is_told = format ~= nil and not self.is_unknown
-  conclude(self, has_frame, format ~= nil and format[1] == read_pcapng)
+  local has_packets = format and format[1](self, window, format[2], format[3])
+  local may_carry_yapp = self.yapp_interfaces > 0
+  self.is_unknown = self.is_unknown or #self.interfaces > 1 and not may_carry_yapp
+  self.may_add_buses = may_carry_yapp and not self.has_one_bus
+  self.has_several = #self.buses > 1 or self.is_live and self.has_indexes
+  self.may_have_frames = has_frame or not has_packets
   return self
 end
 
 --- Return the options of tshark that may decode YAPP in the file's serial lines: a list.
 function File:serial_options()
   for _, interface in ipairs(self.interfaces) do
-    local linktype = interface.linktype
-    if linktype == RTAC then return { "-d rtacser.data,yapp_serial" } end
-    if linktype >= 147 and linktype <= 162 then return { "-o yapp.user_dlt:" .. linktype } end
+    local option = interface.link and interface.link.option
+    if option then return { option } end
   end
   return {}
 end
@@ -445,21 +435,35 @@ function File:bus_finder(compares_times, later)
   end
 end
 
---- Return the bus of a packet that was not read, by the values of Wireshark's fields.
--- number     of its interface
--- index      of Linux cooked v2, 0 for none; event: of RTAC, or nil
--- name       of the interface, or nil
--- direction  of its flags, or nil
-function File:bus_by_fields(number, index, event, name, direction)
+--- Wireshark's fields that tell the bus of a packet.
+M.FIELDS = {
+  "frame.interface_id", "frame.interface_name", "frame.section_number", "sll.ifindex",
+  "rtacser.eventtype", "frame.packet_flags_direction",
+}
+
+-- Return the interface of a packet that was not read.
+local function interface_by_fields(self, fields)
+  local number, name = fields["frame.interface_id"] or 0, fields["frame.interface_name"]
   local interface = self.interfaces[number + 1] or
-    { number = number, name = name and utf8.printable(name), buses = {} }
+    new_interface(number, nil, name ~= "unknown" and name or nil)
   self.interfaces[number + 1] = interface
+  return interface
+end
+
+--- Return the bus of a packet that was not read, nil where its fields do not tell it: in a later
+-- section interfaces are numbered anew.
+-- fields  values of M.FIELDS, by name
+function File:bus_by_fields(fields)
+  local index, event = fields["sll.ifindex"], fields["rtacser.eventtype"]
+  if not (fields["frame.interface_id"] or index or event) then return nil end
+  if (fields["frame.section_number"] or 1) > 1 then return nil end
+  local interface = interface_by_fields(self, fields)
   if event then
     index = EVENT_DIRECTIONS[event] or "tx"
-  elseif INDEX_OF[interface.linktype] == index_by_flags then
-    index = index_by_flags(nil, direction or 0)
+  elseif interface.is_serial then
+    index = index_by_flags(nil, fields["frame.packet_flags_direction"] or 0)
   end
-  return bus_number(self, interface, index)
+  return bus_number(self, interface, index or 0)
 end
 
 -- Return the name of a bus.  If several buses have the name of its interface, or may have it in a
