@@ -5,7 +5,6 @@ The captures are what candump 2020.11 and log2long print for the frames listed h
 written by hand where a comment says so.
 """
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -27,18 +26,6 @@ package.path = "%s/?.lua" -- and nowhere else
 local reader = require("yapp.file.readers")
 reader.register {}
 io.stderr:write("reader registered\\n")
-"""
-
-# What the reader says of the bus on the first pass, where there may be no tree; kept for the second.
-SHOW_BUS = """
-local proto = Proto("candumptest", "Bus of the record")
-proto.fields.bus = ProtoField.int32("candumptest.bus", "Bus")
-local buses = {}
-function proto.dissector(_, pinfo, tree)
-  if not pinfo.visited then buses[pinfo.number] = reader.current() or -1 end
-  tree:add(proto.fields.bus, buses[pinfo.number])
-end
-register_postdissector(proto)
 """
 
 def run(tmp_path, arguments, lua=REGISTER % tshark.PLUGIN, stdin=None):
@@ -227,53 +214,6 @@ def test_forms_that_do_not_open(tmp_path, line):
     assert done.returncode and "isn't a capture file" in done.stderr
 
 
-# What is known when all is read, where statistics ask for it.
-SHOW_WHAT_IS_LACKING = """
-local tap = Listener.new("frame")
-function tap.packet() end
-function tap.draw()
-  for _, drop in ipairs(reader.log().drops or {}) do
-    io.stderr:write(("drop %d %s %d %.3f\\n"):format(drop.count, drop.bus, drop.frame or 0, drop.time or 0))
-  end
-  io.stderr:write("lacks times: ", tostring(reader.log().lacks_times or false), "\\n")
-end
-"""
-
-
-def what_is_lacking(tmp_path, *arguments):
-    errors = run(tmp_path, ["-q", *arguments], lua=REGISTER % tshark.PLUGIN + SHOW_WHAT_IS_LACKING)[2]
-    return [line for line in errors.splitlines() if line.startswith(("drop ", "lacks "))]
-
-
-@pytest.mark.parametrize("extra", [[], ["-2"], ["-2", "-R", "frame.number > 10"]], ids=" ".join)
-def test_what_a_capture_says_that_it_lacks(tmp_path, extra):
-    """candump's drop count, with the packet behind it; and that packets have no times."""
-    path, frames, drops = CAPTURES / "cases/g3_dropcount.txt", [], []
-    for line in path.read_text().splitlines():
-        drop = re.match(r"DROPCOUNT: dropped (\d+) CAN frames? on '(\w+)' socket \(total drops \d+\)$", line)
-        if drop:
-            drops.append((drop[1], drop[2], len(frames) + 1))
-        else:
-            frames.append(float(line.split()[0].strip("()")))
-    assert drops and len(drops) + len(frames) == len(path.read_text().splitlines())
-    assert what_is_lacking(tmp_path, *extra, "-r", path) == [
-        *(f"drop {count} {bus} {number} {frames[number - 1]:.3f}" for count, bus, number in drops), "lacks times: false"]
-    assert what_is_lacking(tmp_path, *extra, "-r", CAPTURES / "cases/g13_no_times_motor_dead.txt") == ["lacks times: true"]
-
-
-@pytest.mark.parametrize("extra", [[], ["-2"], ["-2", "-R", "sll.ifindex == 1"]])
-def test_bus_of_the_record_without_a_tree(tmp_path, extra):
-    arguments = [*extra, "-r", CAPTURES / "candump/candump_log_two_buses.log", "-T", "fields", "-e", "candumptest.bus",
-                 "-e", "sll.ifindex"]
-    lines = run(tmp_path, arguments, lua=REGISTER % tshark.PLUGIN + SHOW_BUS)[1].splitlines()
-    assert lines == (["1\t1"] * 5 if "-R" in extra else ["0\t0", "1\t1"] * 5)
-
-
-def test_no_bus_in_files_of_others(tmp_path):
-    arguments = ["-r", CAPTURES / "candump/candump_log_plain.log", "-T", "fields", "-e", "candumptest.bus"]
-    assert run(tmp_path, arguments, lua=REGISTER % tshark.PLUGIN + SHOW_BUS)[1].splitlines() == ["-1"] * 5
-
-
 def log_text(count, buses):
     lines = [f"(17000{i // 1000:05d}.{i % 1000:06d}) can{buses(i)} 123#{i:08X}\n" for i in range(count)]
     return "".join(lines)
@@ -305,29 +245,6 @@ def test_files_redirections_and_pipes(tmp_path, name, way):
 
 
 LOG = (CAPTURES / "candump/candump_log_two_buses.log").read_bytes()
-FOREIGN = {
-    "empty": b"",
-    "binary": bytes(range(256)) * 100,
-    "prose": b"The log below is from can0.\nIt has two frames.\nThey are old.\n" + LOG[:100],
-    "csv": b"time,id,dlc,data\n" + b"0.1,123,8,11 22 33 44 55 66 77 88\n" * 100,
-    "trc": b";$FILEVERSION=1.1\n;\n" + b"     1)       1.9  Rx         0123  2  11 22 \n" * 100,
-    "syslog": b"Nov 14 22:13:20 host kernel: [ 1.000000] can0: bus-off\n" * 100,
-    "isotpdump": b" (1700000000.000001)  can0  123  [8]  [SF] ln: 1    data: 11\n" * 100,
-    "nul": b"\0\1\0\2" * 10 + LOG,
-}
-
-
-@pytest.mark.parametrize("name", levels.few([*FOREIGN, "asc"], ["prose", "csv", "nul", "asc"]))
-def test_files_of_others_are_not_taken(tmp_path, name):
-    path = tmp_path / "foreign.txt"
-    path.write_bytes(FOREIGN.get(name, b""))
-    if name == "asc":
-        log2asc = ["log2asc", "-I", CAPTURES / "candump/candump_log_two_buses.log", "-O", path, "can0", "can1"]
-        if subprocess.run(["which", "log2asc"], check=False, stdout=subprocess.DEVNULL).returncode:
-            pytest.skip("log2asc of can-utils is not installed")
-        subprocess.run(log2asc, check=True)
-    alone = run(tmp_path, ["-X", "read_format:yapp_asc", "-r", path]) if name == "asc" else run(tmp_path, ["-r", path], lua="")
-    assert run(tmp_path, ["-r", path])[:2] == alone[:2]
 
 
 def test_the_reader_of_another_plugin_keeps_its_files(tmp_path):

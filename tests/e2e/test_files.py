@@ -59,21 +59,6 @@ def test_table_has_every_file():
     assert {name for name, _ in table()} == {path.name for path in FOLDER.iterdir()} - {"make.py"}
 
 
-def test_buses_are_told_apart():
-    read = [name for name, says in table() if says != "no" and name in ("motor.blf", "motor_2_1.trc")]
-    assert read
-    for name in read:
-        rows = tshark.fields(FOLDER / name, ["frame.interface_id", "taurus.motor.dc_voltage"], "-2")
-        assert [row[0] for row in rows if row[1]] == ["0", "1"]
-
-
-def test_channels_of_asc():
-    for name, times in [("motor", {"0": "004", "1": "009"}), ("motor_fd", {"0": "001"})]:
-        rows = tshark.fields(FOLDER / f"{name}.asc", ["sll.ifindex", "frame.time_epoch", "yapp.crc.status", "taurus.motor.dc_voltage"], "-2")
-        assert [row[:3] for row in rows if row[3]] == [[bus, f"1700000000.{time}000000", "1"] for bus, time in times.items()]
-    tshark.assert_no_lua_errors(FOLDER / "motor.asc")
-
-
 @pytest.mark.parametrize("passes", [[], ["-2"]], ids=len)
 def test_names_of_channels(passes):
     """ASC tells the channel; the bus of BLF is not known."""
@@ -127,17 +112,6 @@ def test_dates_that_are_not_understood(folder):
         times, values = zip(*(row.split("\t") for row in done.stdout.splitlines()))
         assert [float(time) for time in times] == pytest.approx([start + i / 1000 for i in range(5)], abs=1e-6)
         assert values[-1] == "47.97314"
-
-
-def test_two_channels_of_asc_at_once(folder):
-    """Their frames in turns: on one bus they would spoil each other."""
-    head, frames = re.match(r"(.*?measurement\n)(.*)", (FOLDER / "motor.asc").read_text(), re.DOTALL).groups()
-    lines = frames.splitlines(keepends=True)
-    path = folder / "mixed.asc"
-    path.write_text(head + "".join(line for pair in zip(lines[:5], lines[5:10]) for line in pair))
-    for passes in ([], ["-2"]):
-        rows = tshark.fields(path, ["frame.number", "yapp.crc.status"], *passes)
-        assert [row[0] for row in rows if row[1] == "1"] == ["9", "10"]
 
 
 def test_conversions(folder):
