@@ -69,12 +69,12 @@ class Line:
 
     def go_on(self, ident, time):
         clocks = self.clocks.setdefault(ident, [])  # [the last stamp, how far the dump's time is ahead of it]
-        clock = max((clock for clock in clocks if clock[0] <= time), key=lambda clock: clock[0], default=None)
+        clock = max((clock for clock in clocks if clock[0] <= time and time + clock[1] > self.now - 10**9),
+                    key=lambda clock: clock[0], default=None)
         if clock is None:
             shares = 0 <= time + self.latest - self.now < 10**9
             clock = [time, self.latest if shares else self.now - time]
             clocks.append(clock)
-            del clocks[:-4]
         clock[0], self.latest = time, clock[1]
         self.now = max(self.now, time + clock[1])
         return self.now

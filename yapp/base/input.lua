@@ -19,15 +19,6 @@ function M.shown(v)
   return type(v) == "string" and ("%q"):format(v:sub(1, 40)) or tostring(v)
 end
 
-function M.is_integer(v)
-  return type(v) == "number" and v % 1 == 0
-end
-
---- Return whether it is a filter name, or a part of one.
-function M.is_name(v)
-  return type(v) == "string" and v:find("^[a-z][a-z0-9_]*$") ~= nil
-end
-
 --- Return whether it is a text, UTF-8 without control characters: Wireshark aborts at some others.
 function M.is_text(v)
   return type(v) == "string" and v ~= "" and utf8.is_printable(v)
@@ -36,7 +27,7 @@ end
 --- Raise that a number is not an integer from low to high.
 -- what  its name in errors
 function M.within(what, v, low, high)
-  local is_within = M.is_integer(v) and v >= low and v <= high
+  local is_within = type(v) == "number" and v % 1 == 0 and v >= low and v <= high
   M.demand(is_within, "%s %s is not one of %d .. %d", what, M.shown(v), low, high)
 end
 

@@ -19,17 +19,7 @@ local SKIPPED = DISSECTOR .. "yapp_skipped" .. UDP
 
 -- A time is a number of nanoseconds, exact up to 2^53: a controller that runs for 104 days.
 local SECOND = 1e9
-local MAX_CLOCKS = 4 -- of an ID
 local MAX_STEP = 1 * SECOND
-
--- Return the clock of an ID that goes on with a stamp: the one that advances least.
-local function clock_of(clocks, stamp)
-  local found
-  for _, clock in ipairs(clocks) do
-    if clock.last <= stamp and not (found and clock.last < found.last) then found = clock end
-  end
-  return found
-end
 
 local Dump = {}
 Dump.__index = Dump
@@ -57,18 +47,27 @@ local function shift_of(self, stamp)
   return ahead >= 0 and ahead < MAX_STEP and self.shift or self.time - stamp
 end
 
+-- Return the clock of an ID that goes on with a stamp, the one that advances least; nil for none.
+-- The clock before a reboot does not: at its time the dump was long ago.
+local function clock_of(self, clocks, stamp)
+  local found
+  for _, clock in ipairs(clocks) do
+    local goes_on = clock.last <= stamp and stamp + clock.shift > self.time - MAX_STEP
+    if goes_on and (not found or clock.last > found.last) then found = clock end
+  end
+  return found
+end
+
 -- Advance the time of the dump by a stamp.  It never goes back: a controller that rebooted has
 -- a new clock, and so has another controller with the same ID.
 -- id  of the message
 local function advance(self, id, stamp)
   self.time = self.time or stamp
   self.clocks[id] = self.clocks[id] or {}
-  local clocks = self.clocks[id]
-  local clock = clock_of(clocks, stamp)
+  local clock = clock_of(self, self.clocks[id], stamp)
   if not clock then
     clock = { shift = shift_of(self, stamp) }
-    table.insert(clocks, clock)
-    if #clocks > MAX_CLOCKS then table.remove(clocks, 1) end
+    table.insert(self.clocks[id], clock)
   end
   clock.last, self.shift = stamp, clock.shift
   self.time = math.max(self.time, stamp + clock.shift)
