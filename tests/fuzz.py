@@ -82,7 +82,7 @@ def preferences(rng):
 
 # Runs --------------------------------------------------------------------------------------------------------------
 
-PLUGIN, ONCE = ROOT, False
+PLUGIN = ROOT
 LONGEST = 6000  # frames of a file
 SHORT = 10_000  # shorter ones are shown in three ways, longer ones in two: a tree takes its time
 
@@ -128,7 +128,7 @@ def environment(installed):
     return {**kept, **tshark.STRICT, "HOME": str(homes() / ("installed" if installed else "bare")), "LC_ALL": "C.UTF-8", "TZ": "UTC"}
 
 
-# Ways to look at a file; a placeholder stands for a file to write.
+# Ways to look at a file; placeholders stand for a file to write and one of STATISTICS.
 FIELDS = [word for name in ("frame.number", "_ws.lua.error", "yapp.id", "yapp.crc.status", "taurus.motor.rpm_measured",
                             "yapp.reassembled.in", "yapp.time_delta") for word in ("-e", name)]
 TREE = ("-V",)
@@ -146,11 +146,10 @@ WAYS = [
     ("-2", "-q", "-z", "expert", *FILTER),
     ("-q", "-z", "expert", "-z", "io,stat,0,yapp,taurus.fault.active"),
     ("-P", "-w", "WRITE", "-F", "pcapng"),
+    ("-q", "-z", "STATISTIC"),
+    ("-2", "-q", "-z", "STATISTIC"),
     ("sharkd",),
 ]
-
-# --once: no tree is written, each frame is looked at once or twice, and a statistic is made.
-COUNTS = ("-q", "-z", "expert", "-z", "io,stat,0,frame,yapp")
 STATISTICS = (*(f"yapp,{name}{form}" for name in model.IN_TEXT for form in ("", ",json")), "yapp,csv,WRITE,replace,all",
               "yapp,check,fault=0,crc=0,motor.gap=0.1,motor.dc_voltage=20..60")
 OUR_CODES = (20, 21)  # a rule of check does not hold; something could not be judged, in other statistics too
@@ -220,10 +219,7 @@ class Run:
             time.sleep(0.005)
 
     def frames_read(self):
-        """Of TWO_PASSES and COUNTS: the number of frames, and how many of them are YAPP's."""
-        counted = re.search(rb"<> +[\d.]+ *\| +(\d+) +\| +\d+ +\| +(\d+) ", self.out)
-        if counted:
-            return int(counted[1]), int(counted[2])
+        """Of TWO_PASSES: the number of frames, and how many of them are YAPP's."""
         lines = [line.split(b"\t") for line in self.out.splitlines()]
         return len(lines), sum(len(line) > 2 and line[2] != b"" for line in lines)
 
@@ -286,8 +282,7 @@ def make(seed, number):
     ways = [TREE, TWO_PASSES, rng.choice(WAYS[2:])]
     if len(capture.units) > SHORT:
         ways = [TWO_PASSES, rng.choice(WAYS[:1] + WAYS[2:])]
-    if ONCE:
-        ways = [(*rng.choice(((), (), ("-2",))), *COUNTS, "-z", rng.choice(STATISTICS))]
+    ways = [tuple(rng.choice(STATISTICS) if word == "STATISTIC" else word for word in way) for way in ways]
     return capture, ways, rng.random() < 0.5
 
 
@@ -329,7 +324,7 @@ def one_file(seed, number):
             if way[0] == "sharkd" and not shutil.which("sharkd"):
                 continue
             run = show_file(capture, way, folder, installed)
-            if way == TWO_PASSES or ONCE:
+            if way == TWO_PASSES:
                 result.frames, result.yapp = run.frames_read()
             if len(capture.units) > 3000:  # of less, the start of the program is the most
                 result.slowest = max(result.slowest, run.cpu / len(capture.units))
@@ -415,12 +410,12 @@ def replay(path, ways=EVERY_WAY):
 
 # The run -----------------------------------------------------------------------------------------------------------
 
-def results(seed, frames, jobs, deadline):
+def results(seed, frames, jobs):
     """Results of file after file, in order, until there are enough frames."""
     done, number, running = 0, 0, []
     fork = multiprocessing.get_context("fork")  # the workers know the homes and the plugin
     with concurrent.futures.ProcessPoolExecutor(jobs, fork) as pool:
-        while done < frames and time.monotonic() < deadline:
+        while done < frames:
             while len(running) < 2 * jobs:
                 running.append(pool.submit(one_file, seed, number))
                 number += 1
@@ -431,20 +426,18 @@ def results(seed, frames, jobs, deadline):
 
 
 def main():
-    global PLUGIN, LONGEST, ONCE
+    global PLUGIN, LONGEST
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--frames", type=int, default=100_000)
     parser.add_argument("--seed", default="1")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--longest", type=int, default=LONGEST, help="frames of a file; more make more frames a second")
-    parser.add_argument("--once", action="store_true", help="each file in one way, without a tree: many frames a second")
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
     parser.add_argument("--file", type=int, help="look at this file of the seed only")
     parser.add_argument("--replay", type=pathlib.Path, help="look at this capture only")
     parser.add_argument("--plugin", type=pathlib.Path, default=ROOT, help="folder of the plugin")
     parser.add_argument("--keep", type=pathlib.Path, default=FINDINGS, help="where findings go")
     options = parser.parse_args()
-    PLUGIN, LONGEST, ONCE = options.plugin.resolve(), options.longest, options.once
+    PLUGIN, LONGEST = options.plugin.resolve(), options.longest
     homes()  # before the workers start, for all of them
     try:
         if options.replay:
@@ -463,7 +456,7 @@ def main():
 def run(options):
     start, shown = time.monotonic(), time.monotonic()
     known, not_ours, files, bad, slowest, most, frames, yapp = {}, [], 0, 0, 0.0, 0.0, 0, 0
-    for result in results(options.seed, options.frames, options.jobs, start + options.seconds):
+    for result in results(options.seed, options.frames, options.jobs):
         files, frames, yapp = files + 1, frames + result.frames, yapp + result.yapp
         slowest, most, bad = max(slowest, result.slowest), max(most, result.most), bad + bool(result.problems)
         for problem, way in result.problems:

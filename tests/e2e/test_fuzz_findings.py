@@ -26,6 +26,6 @@ def test_an_error_is_seen(folder, monkeypatch):
     monkeypatch.setattr(fuzz, "PLUGIN", folder / "plugin")
     fuzz.homes.cache_clear()
     capture = tshark.CAPTURES / "serial/document_udp.pcap"
-    problem = fuzz.show_file(fuzz.Capture(".pcap", b"", [capture.read_bytes()], []), fuzz.COUNTS, folder).problem
+    problem = fuzz.show_file(fuzz.Capture(".pcap", b"", [capture.read_bytes()], []), ("-q", "-z", "expert"), folder).problem
     fuzz.homes.cache_clear()
     assert "planted" in (problem or "nothing")
