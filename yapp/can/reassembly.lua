@@ -138,16 +138,17 @@ local function set_open(self, slot, list)
   self.open[slot] = list[#list]
 end
 
--- A newer message has the last frames of an older one: those behind its own Start.
+-- The frames of a newer message are the last ones of an older one.  So a frame has the same
+-- distance from the end in each, 0 for the newest.
 
 -- Take frames out of an open message.
--- is_removed  { [frame key] = true }
+-- is_removed  by distance
 local function remove_frames(message, is_removed)
-  local chunks, count = message.chunks, 1
-  for i = 2, #message do
+  local chunks, last, count = message.chunks, #message, 1
+  for i = 2, last do
     local key, data = message[i], chunks[i - 1]
     message[i], chunks[i - 1] = nil, nil
-    if is_removed[key] then
+    if is_removed[last - i] then
       chunks.received = chunks.received - #data
     else
       count = count + 1
@@ -170,25 +171,26 @@ local function give_up(self, list, count)
   end
 end
 
--- Return the newest open message that may have a frame, false for none.
-local function heir_of(list, key)
+-- Return the newest message that may have a frame, false for none.
+local function heir_of(list, distance)
   for i = #list, 1, -1 do
-    if list[i][1] < key then return list[i] end
+    if #list[i] - 1 > distance then return list[i] end
   end
   return false
 end
 
 -- Leave the other frames of a good message to the messages that are open.  Report those that none
 -- can have: frames that came twice, or strangers.
--- is_taken  { [frame key] = true } of its frames
--- returns   the others, likewise
+-- is_taken  by distance: its frames
+-- returns   the others, by distance
 local function leave_rest(self, message, is_taken, list)
   local chunks, rest, has_strangers, transfers = message.chunks, {}, false, self.transfers
   for i = 2, #message do
-    local key, owner = message[i], message
-    local is_kept = transfers[key] ~= nil
-    if not is_taken[key] then
-      rest[key], owner = true, heir_of(list, key)
+    local distance, key, owner = #message - i, message[i], message
+    local seeming = transfers[key] -- of another slot, if a read filter dropped this frame
+    local is_kept = seeming == false or seeming and seeming.slot == message.slot
+    if not is_taken[distance] then
+      rest[distance], owner = true, heir_of(list, distance)
       if not owner and chunks[i - 1] == chunks[i - 2] then
         owner = message
         if is_kept then self.kept_anomalies[key] = DUPLICATES end
@@ -207,7 +209,7 @@ end
 -- taken, padding  of can.search
 local function complete(self, list, index, taken, padding, frame)
   local message, is_taken = table.remove(list, index), {}
-  for _, i in ipairs(taken) do is_taken[message[i + 1]] = true end
+  for _, i in ipairs(taken) do is_taken[#message - 1 - i] = true end
   remove_frames(message, leave_rest(self, message, is_taken, list))
   for i, other in ipairs(list) do
     other.is_overtaken = other.is_overtaken or i < index
@@ -428,7 +430,7 @@ end
 function Reassembly:recall(frame)
   local key = frame.key
   local message, anomalies = self.transfers[key], self.kept_anomalies[key]
-  if message then
+  if message and message.slot % can_id.BUS == frame.can_id.message_key then
     local is_last = message.payload and message[#message] == key
     return is_last and "last" or "fragment", message, anomalies
   elseif anomalies or message == false then
