@@ -185,17 +185,6 @@ def with_links(found):
     return found
 
 
-def fits(frame, needed):
-    """How many bytes of CAN FD padding a frame has that should bring so many bytes; None when it does not fit."""
-    length = len(frame.data)
-    if length == needed:
-        return 0
-    if 0 < needed < length and length > 8 and length == len(padded(frame.data[:needed])) and \
-            not any(frame.kept[needed:]):
-        return length - needed
-    return None
-
-
 # Senders and what can go wrong -------------------------------------------------------------------------------------
 
 def motor_payload(rng, count):
@@ -520,13 +509,3 @@ def write(path, frames, layout):
             before = head(frame) if head else b""
             record = before + frame.record(little=head is not None)
             file.write(pcap_packet(number, record, _captured(frame, record, len(before))))
-
-
-def write_behind_ip(path, count, frames):
-    """Writes frames as Linux cooked v2, behind so many packets of IP."""
-    ip = struct.pack(">HHIHBB8x", 0x0800, 0, 2, 1, 0, 6) + bytes(20)
-    records = [ip] * count + [sll2_head(frame) + frame.record(little=True) for frame in frames]
-    with open(path, "wb") as file:
-        file.write(pcap_head(LINKTYPE_SLL2))
-        for number, record in enumerate(records):
-            file.write(pcap_packet(number, record, len(record)))

@@ -24,48 +24,9 @@ pytestmark = [levels.by_route, levels.together("captures")]
 NAMES = make.names()
 MOTOR = bytes.fromhex("FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000" "0000E38CD23CE04E000005FF")
 
-# The frames of each message of several frames that came to an end, complete or not: of a text that writes each frame by
-# itself they stand here, of others the text knows them.
-FRAMES = {
-    "document_motor": [[1, 2, 3, 4, 5]],
-    "document_motor_sll": [[1, 2, 3, 4, 5]],
-    "document_motor_sll2": [[1, 2, 3, 4, 5]],
-    "document_uart_split": [[1, 2, 3, 4]], "document_tcp_split": [[1, 2, 3]], "tcp_conversation": [[2, 4], [3, 5]],
-    "kernel_records": [[1, 2, 3, 4, 5]],
-    "fd_multi_frame": [[1, 2, 3], [4, 5, 6]],
-    "seq_in_use": [[1, 3, 5, 7, 9], [2, 4, 6, 8, 10], [11, 12, 13, 14, 15]],
-    "two_interfaces": [[1, 3, 5, 7, 9], [2, 4, 6, 8, 10]],
-    "two_buses_sll2": [[1, 3, 5, 7, 9], [2, 4, 6, 8, 10]],
-    "two_buses_unnamed": [[1, 3, 5, 7, 9], [2, 4, 6, 8, 10]],
-    "other_traffic": [[1, 3, 5, 7, 9]],
-    "remote_frames": [[1, 3, 5, 7, 10]],
-    "repeated_start": [[2, 3, 4, 5, 6]],
-    "repeated_start_sll2": [[2, 3, 4, 5, 6]],
-    "repeated_end": [[1, 2, 3, 4, 5]],
-    "lost_middle": [[1, 2, 3, 4]],
-    "lost_end": [[5, 6, 7, 8, 9]],
-    "extra_middle": [[1, 2, 3, 5, 6]],
-    "overrun": [[1, 2, 3, 4, 5, 6]],
-    "cut_middle": [[1, 2, 3, 4, 5]],
-    "cut_end": [[1, 2, 3, 4, 5]],
-    "reserved_nonzero": [[1, 2, 3, 4, 5]],
-    "start_12_bytes": [[1, 2, 3, 4, 5]],
-    "start_size_65535": [[1, 2, 3, 4, 5]],
-    "unknown_id_size_65535": [[1, 2, 3]],
-}
-MESSAGES = {name: frames for name in NAMES if (frames := FRAMES.get(name) or [
-    message["frames"] for message in make.read(name).messages if len(message.get("frames", [])) > 1])}
-
-# Frames that came twice, and where their message ends: it does not list them.
-REPEATED = {("extra_middle", 4): 6}
-
 
 def shown(name, passes="-2"):
     return expected.capture_shown(name, passes)
-
-
-def frame(name, number, passes="-2"):
-    return next(one for one in shown(name, passes) if one["frame"] == number)
 
 
 def taurus(one):
@@ -104,10 +65,9 @@ def test_nothing_else_lies_there():
 
 # What is shown ---------------------------------------------------------------------------------------------------
 
-# Where each frame stands alone, a display filter has nothing to change.
 # In a first pass of two nothing tells remote frames from data.
 RUNS = [(name, passes) for name in NAMES for passes in expected.PASSES if name not in expected.SWEPT
-        if (passes != "-2 -Y" or name in MESSAGES) and (passes == "one pass" or name != "remote_frames")]
+        if (passes == "one pass" or name != "remote_frames")]
 
 
 @pytest.mark.parametrize("name, passes", levels.few(RUNS, [run for run in RUNS if run[1] != "-2 -Y"], several=True))
@@ -226,12 +186,6 @@ def of_flags(ident, messages):
 
 # The document's examples -----------------------------------------------------------------------------------------
 
-# Capture and the frame in which Motor Data ends.
-DOCUMENT_MOTOR = {"document_motor": 5, "document_motor_sll": 5, "document_motor_sll2": 5, "document_uart": 1,
-                  "document_uart_dlt_user0": 1, "document_uart_rtac": 1, "document_uart_split": 4, "document_udp": 1,
-                  "document_tcp": 1, "document_tcp_split": 3, "kernel_records": 5}
-
-
 @levels.without_tshark("of model.py alone")
 def test_the_model_says_what_the_document_says():
     header = bytes.fromhex("595000001002000020000000")
@@ -243,82 +197,7 @@ def test_the_model_says_what_the_document_says():
     assert model.value(43687, 2, -10, 5) == pytest.approx(0, abs=15 / 65530)
 
 
-@pytest.mark.parametrize("passes", expected.PASSES)
-@pytest.mark.parametrize("name", DOCUMENT_MOTOR)
-def test_motor_data_of_the_document(name, passes):
-    one = frame(name, DOCUMENT_MOTOR[name], passes)
-    assert taurus(one) == {key: [value] for key, value in model.decode(model.MOTOR, MOTOR)[0].items()} | {
-        "taurus.value.special": ["1"]}
-    assert ("yapp.sync" in one) == ("yapp.can.ctrl" not in one) == ("uart" in name or "udp" in name or "tcp" in name)
-
-
-# Messages of several frames --------------------------------------------------------------------------------------
-
-# Two passes take remote frames of zeros for data (docs/reading.md): only in one pass is it known which frames are whose.
-@levels.each_once
-@pytest.mark.parametrize("passes", expected.PASSES)
-@pytest.mark.parametrize("name", MESSAGES)
-def test_links_between_the_frames_of_a_message(name, passes):
-    passes = "one pass" if name == "remote_frames" else passes
-    frames = shown(name, passes)
-    lists = [one["yapp.fragment"] for one in frames if "yapp.fragment" in one]
-    assert lists == [[str(number) for number in message] for message in MESSAGES[name]]
-    for one in frames:
-        last = next((message[-1] for message in MESSAGES[name] if one["frame"] in message), None)
-        last = last or REPEATED.get((name, one["frame"]))
-        if passes == "one pass" and one["frame"] != last:
-            last = None
-        assert one.get("yapp.reassembled.in") == (last and [str(last)]), f"frame {one['frame']}"
-        if one["frame"] == last:
-            assert one["yapp.fragment.count"] == [str(len(one["yapp.fragment"]))]
-            assert one["yapp.fragments"] == ["1"]
-
-
-def test_no_links_elsewhere():
-    assert {name for name in NAMES if any("yapp.reassembled.in" in one for one in shown(name))} == {*MESSAGES, *LOST}
-
-
-def test_names_of_flags():
-    wanted = [("document_motor", "taurus.motor.motor_state.names", "ready, stopped"),
-              ("document_motor", "taurus.motor.status_flags.names", "stopped, mpos_update"),
-              ("document_motor", "taurus.motor.fault_flags.names", ""),
-              ("info_column", "taurus.motor.fault_flags.names", "motor_overcurrent, hall_timeout")]
-    for name, field, text in wanted:
-        assert tshark.fields(make.capture(name)[0], [field], separator="|")[-1] == [text]
-    found = tshark.run("-r", make.capture("info_column")[0], "-Y", 'taurus.motor.fault_flags.names contains "hall"').stdout
-    assert [line.split()[0] for line in found.splitlines()] == ["5"]
-
-
 # What a user sees ------------------------------------------------------------------------------------------------
-
-INFO = [
-    ("info_column", 5, "FAULT motor_overcurrent, hall_timeout  Motor Data  750.8/749.0 RPM  47.97 V  0.50 A"),
-    ("document_motor", 1, "Motor Data  Start of 32 bytes  [Reassembled in #5]"),
-    ("document_motor", 3, "Motor Data  Middle  [Reassembled in #5]"),
-    ("fd_multi_frame", 2, "Health  Middle  [Reassembled in #3]"),
-    ("document_motor", 5, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"),
-    ("document_command", 1, "Command  Enabled, No Regeneration Allowed  Speed Mode  750.8 RPM  0.50 A"),
-    ("health", 4, "Health  control 50 %, Taurus 20 %  CPU 50 °C, FET 40 °C"),
-    ("bad_crc_can", 5, "BAD CRC  Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"),
-    ("lost_middle", 4, "Motor Data  24 of 32 bytes  [INCOMPLETE]"),
-    ("extra_middle", 4, "Motor Data  Middle  [Reassembled in #6]"),
-    ("extra_middle", 6, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"),
-    ("overrun", 6, "Motor Data  40 of 32 bytes  [OVERRUN]"),
-    ("end_without_start", 1, "Motor Data  End of no message"),
-    ("unknown_id", 1, "ID 0x123  3 bytes"),
-    ("wrong_size", 1, "Command, 6 bytes, the catalogue says 7"),
-    ("events", 6, "FAULT hall_timeout  Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  STALE"),
-    ("events", 5, "FAULT hall_timeout  cleared motor_overcurrent  Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"),
-    ("events", 7, "cleared hall_timeout  Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  REBOOT"),
-    ("uart_shell", 1, 'Skipped 7 bytes "login: " | Motor Data  0.0/0.0 RPM  47.97 V  0.00 A | Skipped 6 bytes '
-     '"..OK.." | Health  control 50 %, Taurus 20 %  CPU 50 °C, FET 40 °C | Skipped 3 bytes "bye"'),
-]
-
-
-@pytest.mark.parametrize("name, number, text", INFO)
-def test_info_column(name, number, text):
-    assert frame(name, number)["info"] == text
-
 
 COLUMNS = {"Protocol": "%p", "Source": "%s", "Info": "%i"}
 SHOWN = {"document_motor": {"Protocol": "YAPP", "Source": "0x210", "Info": "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"},
@@ -471,9 +350,3 @@ def test_protocols(name):
     rows = tshark.fields(make.capture(name)[0], ["frame.protocols", expected.column("Protocol")],
                          *make.read(name).options)
     assert rows[-1] == [PROTOCOLS[name], "YAPP"]
-
-
-@pytest.mark.parametrize("name", ["other_traffic", "remote_frames"])
-def test_other_frames_are_left_alone(name):
-    for passes in expected.PASSES if name != "remote_frames" else ["one pass"]:
-        assert [one["frame"] for one in shown(name, passes)] == MESSAGES[name][0]

@@ -17,62 +17,7 @@ import expected  # noqa: E402
 import make  # noqa: E402
 
 pytestmark = [levels.by_route, levels.together("captures")]
-WIDE = {"-o": ["-o", "yapp.all_extended:TRUE"], "-d": ["-d", "can.subdissector,yapp_all"]}
-
-# Every capture with expert items of YAPP's own: the frames of each.  Captures not named here have none.
-YAPP = {
-    "bad_crc_can": {"crc.bad": [5]},
-    "bad_crc_uart": {"crc.bad": [1]},
-    "ctrl_4_to_15": {"can.ctrl.invalid": list(range(1, 13))},
-    "cut_end": {"truncated": [5]},
-    "cut_middle": {"truncated": [3]},
-    "cut_single": {"truncated": [1]},
-    "cut_start": {"truncated": [1], "fragment.orphan": [2, 3, 4, 5]},
-    "cut_uart": {"truncated": [1]},
-    "cut_udp": {"truncated": [1]},
-    "end_without_start": {"fragment.orphan": [1]},
-    "events": {"crc.bad": [13]},
-    "extra_middle": {"fragment.duplicate": [4]},
-    "fd_multi_frame": {"id.unknown": [6]},
-    "fd_padding_nonzero": {"size.mismatch": [1]},
-    "lost_middle": {"fragment.incomplete": [4]},
-    "middle_without_start": {"fragment.orphan": [1, 2, 3]},
-    "overrun": {"fragment.overrun": [6]},
-    "repeated_end": {"fragment.duplicate": [6]},
-    "reserved_nonzero": {"reserved.nonzero": [1]},
-    "reserved_nonzero_uart": {"reserved.nonzero": [1]},
-    "start_12_bytes": {"size.mismatch": [1]},
-    "start_3_bytes": {"fragment.incomplete": [1], "fragment.orphan": [2, 3, 4, 5]},
-    "start_size_0": {"size.mismatch": [1], "fragment.orphan": [2, 3]},
-    "start_size_65535": {"size.mismatch": [1], "fragment.incomplete": [5]},
-    "uart_broken_off": {"fragment.incomplete": [2]},
-    "uart_several": {"stream.skipped": [2]},
-    "uart_shell": {"stream.skipped": [1]},
-    "unknown_id": {"id.unknown": [1, 5]},
-    "unknown_id_size_65535": {"fragment.incomplete": [3]},
-    "unknown_id_uart": {"id.unknown": [1]},
-    "wrong_size": {"size.mismatch": [1, 2, 3, 7, 8]},
-    "wrong_size_uart": {"size.mismatch": [1]},
-}
-
-
-def experts(frames, prefix):
-    """{expert item without its prefix: frames}."""
-    found = {}
-    for name in model.EXPERTS:
-        numbers = [frame["frame"] for frame in frames if name in frame]
-        if numbers and name.startswith(prefix):
-            found[name[len(prefix):]] = numbers
-    return found
-
-
-@pytest.mark.parametrize("name", make.names())
-def test_experts_of_every_capture(name):
-    for passes in ("one pass", "-2"):
-        # Only what comes later says it; and nothing tells remote frames from data in a first pass of two.
-        if (passes, name) != ("-2", "remote_frames") and (passes == "-2" or name not in ("two_buses_unnamed", "extra_middle")):
-            assert experts(expected.capture_shown(name, passes), "yapp.") == YAPP.get(name, {}), passes
-
+WIDE = ["-o", "yapp.all_extended:TRUE"]
 
 # Expert item, capture, its frames; its line in tshark -z expert: severity, text; and what stands in the tree of the
 # first of the frames, by the numbers and names of this packet.
@@ -205,7 +150,7 @@ CLAIMED = {
 
 @levels.without_tshark("of the texts of the captures alone")
 def test_captures_that_need_the_preference():
-    assert set(CLAIMED) == {name for name in make.names() if make.read(name).options == WIDE["-o"]}
+    assert set(CLAIMED) == {name for name in make.names() if make.read(name).options == WIDE}
 
 
 @pytest.mark.parametrize("name", CLAIMED)
@@ -215,13 +160,6 @@ def test_by_default_only_what_is_surely_yapp_is_taken(name):
 
     for passes in ("one pass", "-2"):
         assert is_right(expected.among_others(name, passes, [], is_right))
-
-
-@pytest.mark.parametrize("passes", ["one pass"])  # the first pass of two does not know the first frame's id
-@pytest.mark.parametrize("name", CLAIMED)
-def test_decode_as_shows_the_same_as_the_preference(name, passes):
-    wanted = expected.capture_shown(name, passes)
-    assert expected.among_others(name, passes, WIDE["-d"], lambda frames: frames == wanted) == wanted
 
 
 # Flags -----------------------------------------------------------------------------------------------------------
@@ -256,11 +194,6 @@ def test_help_of_a_flag(folder):
     assert "look at" not in "".join(texts[0] + texts[3])
     faults = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
     assert {(fault["flag"], fault["help"]) for fault in faults} == {("motor_overcurrent", "look at the phases"), ("hall_timeout", None)}
-
-
-def test_an_item_about_a_value_stands_below_it():
-    tree = tshark.run("-r", make.capture("document_motor")[0], "-O", "taurus").stdout
-    assert re.search(r"\n    ESC Temperature: Not a Number \(0\)\n        \[Expert Info \(Note/Protocol\): Reserved value", tree)
 
 
 def test_one_message_has_one_item_of_each_kind_about_faults():

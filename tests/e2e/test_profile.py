@@ -72,15 +72,6 @@ def test_every_name_is_a_field(known):
     assert len(names) > 20 and names - known == set()
 
 
-@levels.without_tshark("reads the profile's files")
-def test_shape_of_the_tables():
-    assert {len(row) for row in uat("dfilter_buttons")} == {4}
-    assert all(row[0] == "TRUE" and row[1].startswith("YAPP//") and row[3] for row in uat("dfilter_buttons"))
-    assert {len(row) for row in uat("io_graphs")} == {9}
-    assert {len(row) for row in uat("plots")} == {8}
-    assert "auto_switch_filter: yapp" in lines_of("profile_settings")
-
-
 def test_columns(home):
     done = run(home, "-r", tshark.CAPTURES / "serial/document_uart.pcap", "-T", "psml")
     titles = re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[0])
@@ -96,14 +87,6 @@ def columns(home, *arguments):
     done = run(home, *arguments, "-T", "psml")
     rows = [re.findall(r"<section>(.*?)</section>", row) for row in done.stdout.split("<packet>")[1:]]
     return [(row[2], row[9], re.match("(?:FAULT (.*?)(?:  |$))?", row[10])[1] or "") for row in rows if row[9]]
-
-
-@pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
-def test_names_of_state_and_faults(home, passes):
-    rows = columns(home, *passes, "-r", tshark.CAPTURES / "can/events.pcap")
-    assert [faults for _, _, faults in rows[:6]] == [
-        "", "motor_overcurrent", "motor_overcurrent, hall_timeout", "hall_timeout", "hall_timeout", ""]
-    assert all(source.endswith("0x210") for source, _, _ in rows)
 
 
 def test_info_does_not_repeat_the_columns(home):
@@ -148,20 +131,6 @@ def test_a_column_for_each_controller(home):
     for name in re.findall(r'`yapp.source == "(\w+)"`', page):
         found = run(home, "-o", sources, "-r", tshark.ROOT / "docs/flight.pcapng", "-Y", f'yapp.source == "{name}" && taurus.motor')
         assert found.stdout
-
-
-def test_names_that_are_set_in_the_profile(home):
-    """Are there with -C YAPP, and nowhere else."""
-    path = home / ".config/wireshark/profiles/YAPP/preferences"
-    before = path.read_text()
-    try:
-        path.write_text(before + "\nyapp.sources: 0x210=motor:nose\n")
-        for profile, name in (["-C", "YAPP"], "nose"), ([], "0x210"):
-            done = tshark.run(*profile, *tshark.load(), "-r", tshark.CAPTURES / "serial/document_uart.pcap", "-T", "fields", "-e",
-                              "yapp.source", plugin=False, env={"HOME": str(home)})
-            assert done.stdout.strip().endswith(name)
-    finally:
-        path.write_text(before)
 
 
 @levels.without_tshark("reads the profile's files")
@@ -216,12 +185,6 @@ def test_colours(home, folder):
     assert rows == []
 
 
-def test_what_is_well_has_no_colour(home):
-    done = run(home, "--color", "-r", tshark.CAPTURES / "can/document_command.pcap", "-T", "fields", "-e",
-               "yapp.id", "-e", "frame.coloring_rule.name")
-    assert done.stdout == "0x00000000\t\n"
-
-
 # Colours ---------------------------------------------------------------------------------------------------------------
 
 def linear(colour):
@@ -270,16 +233,3 @@ def test_colours_can_be_told_apart(sight):
     for (a, first), (b, second) in itertools.combinations(colour_rules().items(), 2):
         distance = sum((p - q) ** 2 for p, q in zip(seen(first[1], sight), seen(second[1], sight))) ** 0.5
         assert distance >= 15, (a, b, distance)
-
-
-@pytest.mark.parametrize("sight", SIGHT)
-@pytest.mark.parametrize("name", ["io_graphs", "plots"])
-@levels.without_tshark("reads the profile's files")
-def test_lines_can_be_told_apart(sight, name):
-    """Those that are shown in one graph."""
-    rows = [(row[1] if name == "plots" else "", row[2 if name == "plots" else 1], row[4 if name == "plots" else 3])
-            for row in uat(name) if row[0] in ("TRUE", "Enabled")]
-    for first, second in itertools.combinations(rows, 2):
-        if first[0] == second[0]:
-            colours = [seen([int(row[2][at:at + 2], 16) / 255 for at in (1, 3, 5)], sight) for row in (first, second)]
-            assert sum((p - q) ** 2 for p, q in zip(*colours)) ** 0.5 >= 15, (first, second)

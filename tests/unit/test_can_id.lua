@@ -33,14 +33,6 @@ function T.test_what_a_start_says()
   end
 end
 
-function T.test_the_key_is_all_but_the_can_ctrl()
-  local key = can.fields[0x08404000].message_key
-  for ctrl = 0, 15 do lu.assertEquals(can.fields[0x08400000 + ctrl * 0x4000].message_key, key) end
-  for _, other in ipairs { 0x08404001, 0x08404100, 0x08444000 } do
-    lu.assertNotEquals(can.fields[other].message_key, key)
-  end
-end
-
 function T.test_many_ids_cost_no_more_than_some()
   collectgarbage()
   local before = collectgarbage("count")

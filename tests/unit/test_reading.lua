@@ -227,53 +227,6 @@ function T.test_a_revisit()
   lu.assertNil(visit(capture, { words.can_id(0x700, 2, 0, 1), "other" }, { number = 50, visited = true }))
 end
 
-function T.test_what_is_lost()
-  local capture, list = new_capture(), frames_of(MOTOR, 1, payload_of(MOTOR, 1))
-  lu.assertEquals(add_all(capture, { list[1], list[2], list[5] }), "last incomplete Motor Data+fragment.incomplete")
-  lu.assertEquals(add_all(capture, { list[3] }), "other+fragment.orphan")
-  local next_one = frames_of(MOTOR, 1, payload_of(MOTOR, 2))
-  lu.assertEquals(add_all(capture, { list[1], next_one[1] }), "fragment")
-  add_all(capture, { next_one[2], next_one[3], next_one[4], next_one[5] })
-  lu.assertEquals(add_all(capture, { list[1] }), "fragment+fragment.incomplete")
-  lu.assertEquals(table.concat(capture.events, ", "), "incomplete Motor Data @3, " ..
-    "incomplete Motor Data @4, message Motor Data @10, incomplete Motor Data @11")
-end
-
--- What is no YAPP's is left to others; nobody hears of it.
-function T.test_frames_of_others()
-  local capture = new_capture()
-  lu.assertEquals(in_words(visit(capture, { words.can_id(0x123, 2, 0, 1), "12345678" })), "-")
-  lu.assertEquals(in_words(visit(capture, { words.can_id(MOTOR, 0, 0, 1), "1234567" })), "-")
-  lu.assertEquals(in_words(visit(capture, { words.can_id(COMMAND, 0, 1, 1), "1234567" })), "-")
-  lu.assertEquals(in_words(visit(capture, { words.can_id(COMMAND, 0, 1, 1), "1234567" }, { accepts_all = true })),
-    "single good Command")
-  lu.assertEquals(capture.events, { "message Command @4" })
-end
-
--- Two buses have one message each under the same CAN ids: each its own source and history.
-function T.test_two_buses()
-  local capture = new_capture { several = true }
-  local first, second = frames_of(MOTOR, 5, payload_of(MOTOR, 1)), frames_of(MOTOR, 5, payload_of(MOTOR, 2))
-  local found = {}
-  for i = 1, 5 do
-    found[1] = in_words(visit(capture, first[i], { bus = 1 }))
-    found[2] = in_words(visit(capture, second[i], { bus = 2 }))
-  end
-  lu.assertEquals(found, { "last good Motor Data 0x210 (can0)", "last good Motor Data 0x210 (can1)" })
-end
-
--- The same where nothing tells the buses apart: the CRC does.
-function T.test_two_buses_that_nothing_tells_apart()
-  local capture, found = new_capture(), {}
-  local first, second = frames_of(MOTOR, 5, payload_of(MOTOR, 1)), frames_of(MOTOR, 5, payload_of(MOTOR, 2))
-  for i = 1, 5 do
-    for _, list in ipairs { first, second } do
-      found[#found + 1] = in_words(visit(capture, list[i], { is_bus_known = false }))
-    end
-  end
-  lu.assertEquals({ found[9], found[10] }, { "last good Motor Data", "last good Motor Data" })
-end
-
 -- A recorder wrote every frame twice with equal stamps, and its first message begins the capture.
 function T.test_copies()
   local capture, found = new_capture(), {}

@@ -71,12 +71,6 @@ function T.test_messages_of_one_packet()
   lu.assertEquals(found(rows), { "-", "-", "-", 1, 2, 3, 1, 2, 3 })
 end
 
--- Half the period of a fast message is less than 20 ms.
-function T.test_how_far_a_copy_may_be()
-  local fast = { type = { every = 0.01, time = {} } }
-  lu.assertEquals(found { { 0, "a", fast }, { 0.0049, "a", fast }, { 0.0051, "a", fast } }, { "-", 1, "-" })
-end
-
 -- A read filter (-R) drops a copy; the next packet has its number, and is none.
 function T.test_a_number_that_is_used_again()
   local copies = copies_of.new { is_time_real = function() return true end }
@@ -88,22 +82,6 @@ function T.test_a_number_that_is_used_again()
   lu.assertEquals(look(2 * PACKET, 0.001, "a", false), PACKET)
   lu.assertNil(look(2 * PACKET, 0.1, "b", false))
   lu.assertNil(look(2 * PACKET, 0.1, "b", true))
-end
-
--- Many messages of a source within 20 ms: the 16 latest are known.
-function T.test_a_fast_source()
-  local rows, expected = {}, {}
-  for i = 1, 40 do
-    rows[2 * i - 1], rows[2 * i] = { i / 10000, "m" .. i }, { i / 10000, "m" .. i }
-    expected[2 * i - 1], expected[2 * i] = "-", 2 * i - 1
-  end
-  lu.assertEquals(found(rows), expected)
-  for count, first in pairs { [16] = 1, [17] = "-" } do
-    rows = {}
-    for i = 1, count do rows[i] = { i / 10000, "m" .. i } end
-    rows[count + 1] = { 0.002, "m1" }
-    lu.assertEquals(found(rows)[count + 1], first, count)
-  end
 end
 
 -- Stamps that tell nothing tell no copies.
