@@ -10,12 +10,10 @@ import itertools
 import json
 import os
 import re
-import struct
 from decimal import Decimal
 
 import pytest
 
-import can_generator
 import flights
 import levels
 import model
@@ -230,23 +228,6 @@ def check_fields(described):
                 assert columns[f"{kind[0]}_{flag}"]["filter"] == f"taurus.{name}.{kind[0]}.{flag}"
 
 
-def test_check_says_limit_and_worst():
-    """Of a rule about a field: how many values lie outside, which one the farthest, and of how many."""
-    capture = tshark.ROOT / "docs/flight.pcapng"
-    rows = tshark.run("-r", capture, "-Y", "taurus.motor.dc_voltage", "-T", "fields", "-e", "yapp.bus", "-e", "taurus.motor.dc_voltage")
-    values = {}
-    for bus, value in map(str.split, rows.stdout.splitlines()):
-        values.setdefault(bus, []).append(float(value))
-    limit = sorted(values["can0"])[len(values["can0"]) // 2]
-    done = tshark.run("-r", capture, "-q", "-z", f"yapp,check,json,motor.dc_voltage=..{limit}", check=False)
-    assert done.returncode == 20 and len(values) == 2
-    lines = {line["bus"]: line for line in map(json.loads, done.stdout.splitlines())}
-    for bus, of_bus in values.items():
-        above = [value for value in of_bus if value > limit]
-        assert lines[bus].items() >= {"limit": f"..{limit}", "seen": len(above), "note": f"of {len(of_bus)} values"}.items()
-        assert above and lines[bus]["worst"] == pytest.approx(max(above))
-
-
 @CHECKED
 def test_csv(results, seed, form, passes):
     table = results(seed, form, passes)[1]
@@ -262,18 +243,6 @@ def test_csv(results, seed, form, passes):
         assert len(rows) == len(expected)
         for row, truth in zip(rows, expected):
             check_row(row, *truth)
-
-
-@levels.by_version
-@pytest.mark.parametrize("seed, form, passes", levels.few(CASES, ONCE[::2], several=True))
-def test_csv_alone(results, seed, form, passes):
-    """As beside others."""
-    _, table, capture = results(seed, form, passes)
-    alone = table.with_name(f"{table.name}.alone")
-    statistics(flight_of(seed), form, capture, f"csv,{alone},json", passes=PASSES[passes])
-    assert {path.name for path in table.iterdir()} >= {f"{kind}.csv" for kind in flights.KIND}
-    for path in table.iterdir():
-        assert (alone / path.name).read_text() == path.read_text()
 
 
 @pytest.mark.parametrize("seed", [2, 3])
@@ -297,33 +266,6 @@ def test_shared_sources(seed):
             assert line["frame"] < shared.get((line["bus"], line["id"]), 1 << 40), line
     done = tshark.run(*flight.arguments(form), "-q", "-r", capture, "-z", "yapp,check,shared=0", check=False)
     assert done.returncode == 20
-
-
-def frames_of_flight_with_commands(commands, speeds):
-    """A candump log: Motor Data with a raw speed each 0.1 s, and Commands [time, enabled, key]."""
-    rows = [(0.1 * index, can_generator.Sent(0x210, 0, 0, struct.pack("<6HBBIIqBB", 0, 0, 0, raw, 0, 0, 0, 0, 0, 0, index * 10**8, 1, 0)))
-            for index, raw in enumerate(speeds)]
-    rows += [(time, can_generator.Sent(0, 0, 0, struct.pack("<BBBHH", enabled, key, 1, 0, 0))) for time, enabled, key in commands]
-    lines = []
-    for time, sent in sorted(rows, key=lambda row: row[0]):
-        frames = sent.frames() if sent.msg else [sent.frame(can_generator.SINGLE, sent.payload)]
-        lines += [f"({1000 + time:.6f}) can0 {frame.can_id:08X}#{frame.data.hex().upper()}\n" for frame in frames]
-    return "".join(lines)
-
-
-def test_a_command_that_stops_a_turning_motor(tmp_path):
-    """600 counts from the middle are 1,098 rpm, 50 are 92: below a tenth.  A Command with an undefined key is ignored."""
-    log = tmp_path / "run.log"
-    middle = 32765
-    log.write_text(frames_of_flight_with_commands(
-        [(0.05, 1, 0xA5), (0.45, 0, 0x11), (0.55, 0, 0xA5), (0.75, 1, 0x5A), (1.25, 0, 0xA5), (1.45, 1, 0xA5), (1.75, 0, 0xA5)],
-        [middle - 600] * 10 + [middle + 50] * 5 + [middle + 65] * 5))
-    done = tshark.run("-q", "-r", log, "-z", "yapp,events,json", "-z", "yapp,check,json,disabled=1", check=False)
-    assert done.returncode == 20
-    rows = [json.loads(line) for line in done.stdout.splitlines()]
-    found = [(row["time"], row["id"], row["message"], row["length"]) for row in rows if row.get("kind") == "disabled"]
-    assert found == [(1000.55, 0, "command", 0.2), (1001.75, 0, "command", None)]
-    assert {row["seen"] for row in rows if row.get("rule") == "disabled=1"} == {2}
 
 
 @pytest.mark.parametrize("rules, code", [(["fault=0", "crc=0"], 20), (["crc=0", "fault=0"], 20), (["motor.count=99", "crc=0"], 21),

@@ -70,10 +70,7 @@ local function add_unreliable(self, event)
   texts[#texts + 1] = shape:format(output.bus_and_id(source), event.frame, since)
 end
 
--- What else events of some kinds do.
-local on_kind = {}
-
-function on_kind.message(self, event)
+local function add_message(self, event)
   local source, values = event.source, event.values
   if values.size then
     local unknown = self.undecoded:count(source, values.size, values.undecoded)
@@ -84,7 +81,7 @@ function on_kind.message(self, event)
 end
 
 -- A message that has copies counts once for all of them.
-function on_kind.copies(self, event)
+local function add_copy(self, event)
   local source, original = event.source, event.values.of
   if self.originals[source] ~= original then self.copies = self.copies + 1 end
   self.originals[source] = original
@@ -101,10 +98,11 @@ end
 
 --- Count an event of a source, if the filter lets it count.
 function Answer:add(event)
-  local matched, call = self.matched, on_kind[event.kind]
+  local matched, kind = self.matched, event.kind
   if matched and not matched[event.frame] then return end
   self.came[event.source] = true
-  if call then call(self, event) end
+  if kind == "message" then add_message(self, event) end
+  if kind == "copies" then add_copy(self, event) end
   self:count(event)
 end
 

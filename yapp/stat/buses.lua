@@ -128,16 +128,16 @@ end
 
 local COLUMNS = output.columns {
   { "bus" },
-  { "frames", type = "integer", help = "data and remote frames" },
-  { "rate", type = "number", unit = "Hz", help = "(frames - 1) / (last - first)" },
-  { "yapp", type = "integer", title = "YAPP", help = "the frames of them that are YAPP's" },
+  { "frames", "integer", "data and remote frames" },
+  { "rate", "number", "(frames - 1) / (last - first)", unit = "Hz" },
+  { "yapp", "integer", "the frames of them that are YAPP's", title = "YAPP" },
   { "others", where = "text window" },
-  { "errors", type = "values",
-    help = "error frames by the gravest that each reports: `" .. table.concat(NAMES, " ") .. "`" },
+  { "errors", "values",
+    "error frames by the gravest that each reports: `" .. table.concat(NAMES, " ") .. "`" },
   { "first", where = "text", title = "first/s" },
   { "last", where = "text", title = "last/s" },
-  { "load", type = "number", help = "the mean share of `bitrate=` that frames take" },
-  { "load_max", type = "number", title = "in 1 s", help = "the highest within a second" },
+  { "load", "number", "the mean share of `bitrate=` that frames take" },
+  { "load_max", "number", "the highest within a second", title = "in 1 s" },
 }
 --- The columns, see output.columns.
 M.COLUMNS = COLUMNS

@@ -39,24 +39,21 @@ local OK = {
 }
 --- The columns, see output.columns.
 M.COLUMNS = output.columns {
-  { "ok", type = "boolean", title = "check",
-    help = "whether the rule holds; null if it could not be judged" },
-  { "rule", type = "string", help = "the rule" },
+  { "ok", "boolean", "whether the rule holds; null if it could not be judged", title = "check" },
+  { "rule", "string", "the rule" },
   { "who" },
   { "bus" },
   { "id" },
   { "source" },
   { "message" },
   { "frame" },
-  { "seen", type = "number", help = "what was seen" },
-  { "limit", type = "text", where = "json", help = "a number, or a text such as `9..11`" },
-  { "worst", type = "number",
-    help = "the value that is nearest to a limit, or farthest outside" },
-  { "margin", type = "number",
-    help = "how far it lies within the limit, in the field's unit; negative outside" },
-  { "percent", type = "number", unit = "%", title = "%",
-    help = "the margin in percent of the range, or of the only limit" },
-  { "note", type = "text", help = "why, or what else to know" },
+  { "seen", "number", "what was seen" },
+  { "limit", "text", "a number, or a text such as `9..11`", where = "json" },
+  { "worst", "number", "the value that is nearest to a limit, or farthest outside" },
+  { "margin", "number", "how far it lies within the limit, in the field's unit; negative outside" },
+  { "percent", "number", "the margin in percent of the range, or of the only limit",
+    unit = "%", title = "%" },
+  { "note", "text", "why, or what else to know" },
 }
 --- The verdict `ok` of a row whose rule does not hold.
 M.FAILED = FAILED

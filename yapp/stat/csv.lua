@@ -14,8 +14,8 @@ local text_of = require "yapp.message.text"
 local M = {}
 
 local COLUMNS = output.columns {
-  { "file", type = "text", help = "the path of a table" },
-  { "rows", type = "integer", help = "how many rows it has" },
+  { "file", "text", "the path of a table" },
+  { "rows", "integer", "how many rows it has" },
 }
 --- The columns of its own output, see output.columns.
 M.COLUMNS = COLUMNS

@@ -41,8 +41,8 @@ local SECTIONS = {
 }
 local PLACES = { ["-"] = "json", ["*"] = "text window" }
 local COLUMNS = {
-  { "incident", type = "integer", where = "json", help = "the number of the fault, from 1" },
-  { "incidents", type = "integer", where = "json", help = "how many faults there are" },
+  { "incident", "integer", "the number of the fault, from 1", where = "json" },
+  { "incidents", "integer", "how many faults there are", where = "json" },
   { "time" },
   { "rel" },
   { "frame", where = "json text window" },
@@ -60,8 +60,8 @@ for _, section in ipairs(SECTIONS) do
   end
   section.columns = output.columns(columns)
   local keys = table.concat(section.columns.json, " ")
-  insert(COLUMNS, { section[1], type = "list", where = "json",
-    help = ("%s: `%s`"):format(section[2], keys ~= "" and keys or "as in `events`") })
+  local help = ("%s: `%s`"):format(section[2], keys ~= "" and keys or "as in `events`")
+  insert(COLUMNS, { section[1], "list", help, where = "json" })
 end
 --- The columns, see output.columns.
 M.COLUMNS = output.columns(COLUMNS)

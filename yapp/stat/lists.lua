@@ -17,10 +17,11 @@ local WHEN = { { "time" }, { "rel" }, { "frame", where = ALL } }
 local MERGED = input.set("clock missing dropped stale crc incomplete unfinished skipped invalid")
 local MORE = ", %d times up to %.3f s"
 -- JSON has it where it is, behind the other keys.
-local NEAR = { "near", type = "string", where = "text window",
-  help = "the bus events within a second of a fault, a silence or a loss" }
-local KIND = { "kind", type = "string", where = "json",
-  help = "what happened: `fault`, `reboot`, `silence` and others, see statistics.md" }
+local NEAR = { "near", "string", "the bus events within a second of a fault, a silence or a loss",
+  where = "text window" }
+local KIND = { "kind", "string",
+  "what happened: `fault`, `reboot`, `silence` and others, see statistics.md",
+  where = "json" }
 -- A line of JSON has the keys of its kind alone, see stat.kinds.
 local EVENTS = output.columns(joined({ KIND }, WHEN, {
   { "bus", where = ALL },
@@ -34,13 +35,14 @@ local EVENTS = output.columns(joined({ KIND }, WHEN, {
   { "flag", where = "" },
   { "event", where = "" },
   { "active", where = "" },
-  { "length", type = "seconds", unit = "s", where = "",
-    help = "of a silence, a jump, a step of the clock or `disabled`; of `skipped`: bytes" },
-  { "what", type = "string", where = "", help = "of `incomplete`: what was wrong with it" },
-  { "value", type = "text", where = "", help = "of `invalid`: what the field had" },
-  { "size", type = "integer", where = "", help = "of `unknown`: bytes of each message" },
-  { "count", type = "integer", where = "", help = "how many messages or packets; null for one" },
-  { "like", type = "string", where = "", help = "of `unknown`: the message that has this size" },
+  { "length", "seconds",
+    "of a silence, a jump, a step of the clock or `disabled`; of `skipped`: bytes",
+    unit = "s", where = "" },
+  { "what", "string", "of `incomplete`: what was wrong with it", where = "" },
+  { "value", "text", "of `invalid`: what the field had", where = "" },
+  { "size", "integer", "of `unknown`: bytes of each message", where = "" },
+  { "count", "integer", "how many messages or packets; null for one", where = "" },
+  { "like", "string", "of `unknown`: the message that has this size", where = "" },
   NEAR,
 }))
 local FAULTS = output.columns(joined(WHEN, {
@@ -53,7 +55,7 @@ local FAULTS = output.columns(joined(WHEN, {
   { "flag" },
   { "event" },
   { "active" },
-  { "help", type = "string", where = "json", help = "what the catalogue says of the flag" },
+  { "help", "string", "what the catalogue says of the flag", where = "json" },
   NEAR,
 }))
 --- The columns of both, see output.columns.

@@ -2,6 +2,7 @@
 -- The output of statistics: JSON lines, tables for people, and files, which exist only if
 -- they are complete; and the exit codes.  Pure Lua, 5.2 to 5.5.
 
+local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
 local utf8 = require "yapp.base.utf8"
 
@@ -170,23 +171,21 @@ local COMMON = {
 }
 
 --- Read the columns of a table, a row each, in their order.
--- rows     list of { key,
+-- rows     list of { name, type, help,
 --            where  the places that show it: "json", "text", "window", or several of them; nil
 --                   for all
 --            type   in JSON: "integer", "id", "number", "seconds", "time" (seconds since 1970),
 --                   "boolean", "string" (one of a few), "text", "values" (an object by field) or
 --                   "list"; nil if JSON has it in no line
 --            unit   of a number, or nil
---            title  above it, nil for the key and the unit; short = the same in a window
+--            title  above it, nil for the name and the unit; short = the same in a window
 --            help   its meaning: for fields.json and the pages that follow it };
 --          COMMON has the rest
--- returns  { json = list of names, text, window = lists of { name, title }, all = list of all rows,
---          each with its key as its name }
+-- returns  { json = list of names, text, window = lists of { name, title }, all = all rows }
 function M.columns(rows)
   local columns = { json = {}, text = {}, window = {}, all = {} }
-  for i, row in ipairs(rows) do
-    local name = row[1]
-    local column = { name = name, where = "json text window" }
+  for i, row in ipairs(input.rows("name type help", rows)) do
+    local name, column = row.name, { where = "json text window" }
     for option, value in pairs(COMMON[name] or {}) do column[option] = value end
     for option, value in pairs(row) do column[option] = value end
     column.title = column.title or column.unit and name .. "/" .. column.unit or name

@@ -20,11 +20,12 @@ local CHARACTER = "[^\128-\191][\128-\191]*" -- of UTF-8
 local CLEAR, RED, NORMAL = "\27[H\27[J", "\27[31m", "\27[m"
 
 local COLUMNS = output.columns {
-  { "time", where = "json", help = "of the latest packet" },
-  { "sources", type = "list", where = "json",
-    help = "the keys of `summary`, `hz`, `age`, `faults`, the latest fault and its time" },
-  { "rules", type = "list", where = "json", help = "the keys of `check`" },
-  { "buses", type = "list", where = "json", help = "the keys of `buses`" },
+  { "time", "time", "of the latest packet", where = "json" },
+  { "sources", "list",
+    "the keys of `summary`, `hz`, `age`, `faults`, the latest fault and its time",
+    where = "json" },
+  { "rules", "list", "the keys of `check`", where = "json" },
+  { "buses", "list", "the keys of `buses`", where = "json" },
 }
 --- The columns, see output.columns.
 M.COLUMNS = COLUMNS
