@@ -264,24 +264,3 @@ def test_a_filter_alone(folder, name, passes):
               if not is_unknown and row.get(name) is not None and (row[name] or name in TIMES)]
     wanted = [1] if is_unknown else wanted
     assert wanted and [int(line.split()[0]) for line in found.splitlines()] == wanted
-
-
-@pytest.mark.parametrize("name, expected", [
-    ("g0_clean", set()),
-    ("g2_seq_half_lost", {"yapp.seq.missing"}),
-    ("g5_two_escs_one_id", set()),  # booted at the same time: the clocks tell nothing
-    ("g6_controller_swap", {"taurus.jump"}),
-])
-def test_cases(name, expected):
-    """Captures that showed a defect of 2.1: what is found of time and numbers, and in which messages."""
-    wanted = [*model.CHANGE_EXPERTS, "yapp.source.shared", "yapp.seq.missing"]
-    rows = tshark.fields(tshark.CAPTURES / f"cases/{name}.pcapng", ["yapp.id", "taurus.motor.timestamp", *wanted])
-    found = {field: [(row[0], row[1], row[place]) for row in rows if row[place]] for place, field in enumerate(wanted, 2)}
-    motors = [row for row in rows if row[1]]
-    assert motors and {field for field, hits in found.items() if hits} == expected
-    if name.startswith("g2"):
-        assert found["yapp.seq.missing"] == [(row[0], row[1], "1") for row in motors[1:]]
-    if name.startswith("g6"):
-        (_, clock, _), = found["taurus.jump"]
-        index = [row[1] for row in motors].index(clock)
-        assert nanoseconds(clock) - nanoseconds(motors[index - 1][1]) > 3600 * flights.SECOND

@@ -319,15 +319,6 @@ def acf_file(path, packets):
     return path
 
 
-@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
-def test_behind_a_packet_of_several_frames(passes, folder):
-    command, unknown = Sent(0, 0, 0, COMMAND).frame(0, COMMAND), Sent(0x123, 0, 0, MOTOR).frames()
-    path = acf_file(folder / "acf.pcap", [[command, command], *([frame] for frame in unknown + unknown)])
-    rows = shown(path, "yapp.id", "yapp.crc.status", passes=passes, named=["can.id"])
-    assert [row[0] for row in rows[1:]] == ["0x00000123"] * 10
-    assert [row[1] for row in rows[1:]] == ["", "", "", "", "1"] * 2
-
-
 @pytest.mark.parametrize("passes", [("-2",), ("-2", "-Y", "frame")], ids=" ".join)
 def test_frames_of_a_packet_that_a_first_pass_is_not_asked_about(passes, folder):
     """What it knows of the others is not theirs."""
@@ -344,16 +335,6 @@ def test_packets_of_several_frames_that_a_read_filter_rejects(folder):
     path = acf_file(folder / "acf.pcap", [motor[:2], [other, motor[2]], [motor[3]], [motor[4]]])
     rows = shown(path, INFO, "yapp.fragment", passes=("-2", "-R", "not yapp.can.ctrl == 1"))
     assert rows[0][0].startswith("Motor Data  Middle") and rows[2][1] == "1,1,1,2,3"
-
-
-@pytest.mark.parametrize("interface", [100, 200, 5000])
-def test_interfaces_with_high_numbers(interface, folder):
-    frames = [frame for pair in zip(*(Sent(0x210, 0, seq, MOTOR).frames() for seq in (0, 1))) for frame in pair]
-    for frame in frames:
-        frame.bus = interface
-    pcapng_file(folder / "many.pcapng", [can_generator.LINKTYPE_SOCKETCAN] * (interface + 1), frames)
-    rows = shown(folder / "many.pcapng", "yapp.crc.status", "yapp.fragment.incomplete", passes=("-2", "-Y", "frame"))
-    assert rows == [["", ""]] * 8 + [["1", ""]] * 2
 
 
 @levels.each_once

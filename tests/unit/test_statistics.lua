@@ -156,32 +156,6 @@ local NOTHING_CAME = "no YAPP message found: the capture has no packets, or -R r
 
 -- summary -------------------------------------------------------------------------------------------------------
 
--- A line of JSON: what counts events is 0, and other columns are null, where nothing else is expected.
-local function summary_line(expected)
-  local columns, texts = options_of.BY_NAME.summary.columns, {}
-  for _, column in ipairs(columns.all) do
-    local key = column.name
-    local text = expected[key] or column.kind and "0" or "null"
-    if column.where:find("json") then texts[#texts + 1] = ('"%s":%s'):format(key, text) end
-  end
-  return "{" .. table.concat(texts, ",") .. "}"
-end
-
-function T.test_summary()
-  local printed = run({ "summary,json" }, { record(1, 0),
-    record(2, 0.5, { payload = payload(20), change = { late = 0.5 } }),
-    bad(3, 0.6, { payload = payload(200) }),
-    record(4, 0.7, { payload = payload(255), change = { reboot = 1 } }), lost(5, 0.8, "orphan"),
-    record(6, 0.9, { source = ODD, fits = false }) })
-  lu.assertEquals(lines(printed), {
-    summary_line { bus = '"can0"', id = "528", source = '"left"', message = '"motor"', count = "3",
-      rate = "2.8571428571428572", gap_min = "0.200000000", gap_mean = "0.350000000", gap_max = "0.500000000",
-      gap_max_frame = "2", crc_bad = "1", incomplete = "1", late = "1", reboots = "1",
-      values = '{"volts":{"min":10,"mean":15,"max":20}}' },
-    summary_line { bus = '"can0"', id = "768", count = "1", values = "{}" } })
-  lu.assertStrContains(printed, '"gap_max_frame":2,"crc_bad":1,"incomplete":1,"late":1,"reboots":1,"values":')
-end
-
 -- New columns come behind these.  A column that no row has a value of is not printed: it is not in found[2].
 function T.test_summary_in_words()
   local printed = run({ "summary" }, { record(1, 0), record(2, 0.1, { source = RIGHT }), record(3, 0.25) },
@@ -274,25 +248,6 @@ time (UTC)                  since start/s  frame  bus   ID     source  message  
 2023-11-14 22:13:21.100000       1.100000      2  can0  0x210  left    Motor Data  fault_flags  hot   cleared  0.100000
 ]])
   lu.assertEquals(run({ "faults" }, {}), "YAPP faults: 0\n" .. NOTHING_CAME)
-end
-
--- The title counts the times in which a source has a fault, not flags: `faulted` beside a flag is the same one.
-function T.test_the_title_counts_incidents()
-  local function title(records, with) return (run({ "faults" }, records, with):match("^[^\n]+")) end
-  local function at(frame, value, up, down, with)
-    with = with or {}
-    with.change = raised(value, up, down)
-    return record(frame, frame / 10, with)
-  end
-  lu.assertEquals(title { at(1, 7, 7), at(2, 0, 0, 7) }, "YAPP faults: 1")
-  lu.assertEquals(title { at(1, 1, 1), at(2, 7, 6), at(3, 6, 0, 1), at(4, 0, 0, 6) }, "YAPP faults: 1") -- without a break
-  lu.assertEquals(title { at(1, 1, 1), at(2, 6, 6, 1) }, "YAPP faults: 1") -- one falls, one rises
-  lu.assertEquals(title { at(1, 1, 1), at(2, 0, 0, 1), at(3, 1, 1), record(4, 0.4) }, "YAPP faults: 2")
-  lu.assertEquals(title { at(1, 1, 1), at(2, 1, 1, 0, { source = RIGHT }) }, "YAPP faults: 2") -- each source has its own
-  local several = { at(1, 1, 1), at(2, 0, 0, 1), at(3, 1, 1), at(4, 0, 0, 1) }
-  lu.assertEquals(title(several, { matches = { [4] = true } }), "YAPP faults: 1") -- the end of it alone counts
-  lu.assertStrContains(run({ "faults,json" }, several), '"event":"cleared"')
-  lu.assertEquals(#lines((run({ "faults,json" }, several))), 4)
 end
 
 function T.test_events_in_words()
@@ -671,13 +626,6 @@ function T.test_what_the_catalogue_does_not_define()
     { "invalid=1 left false 2 2", "invalid=2 left true 2 2", "unknown=0 null true 0 null" })
 end
 
-function T.test_silences()
-  local records = { record(1, 0), record(2, 1, { change = { late = 1 } }), record(3, 1.1) }
-  lu.assertEquals(verdicts("silence=1", records, { last = 1.2 })[1], "silence=1 left true 1 1")
-  lu.assertEquals(verdicts("silence=1", records, { last = 2 })[1], "silence=1 left false 2 1") -- to the end
-  lu.assertStrContains(run({ "summary,json" }, records, { last = 2 }), '"late":1,')
-end
-
 function T.test_bytes_of_no_frame()
   local records = { record(1, 0), skipped(2, 0.1), lost(2, 0.15, "orphan", { skipped = STREAM, id = 1 }), skipped(3, 0.2) }
   lu.assertEquals(found("events,json", "skipped", records), { '{"kind":"skipped",,"length":5}', '{"kind":"skipped",,"length":5}' })
@@ -925,18 +873,7 @@ end
 function T.test_what_is_not_well()
   local good = record(1, 0)
   local function code_of(second, with, rules) return (select(2, verdicts(rules or "", { good, second }, with))) end
-  lu.assertEquals(code_of(record(2, 0.1, { change = raised(1, 1) })), 20)
-  lu.assertEquals(code_of(bad(2, 0.1)), 20)
-  lu.assertEquals(code_of(lost(2, 0.1, "orphan")), 20)
-  lu.assertEquals(code_of(nil, { unfinished = { record(2, 0.1, { kind = "unfinished" }) } }), 20)
-  lu.assertEquals(code_of(record(2, 0.1, { change = { reboot = 1 } })), 20)
-  lu.assertEquals(code_of(record(2, 0.1, { change = { stale = true } })), 20)
-  lu.assertEquals(code_of(record(2, 0.3, { change = { late = 0.3 } })), 20)
-  lu.assertEquals(code_of(nil, { last = 0.3 }), 20)
-  lu.assertEquals(code_of(record(2, 0.1, UNDEFINED)), 20)
-  lu.assertEquals(code_of(nil, { named = NAMED }), 20)
   lu.assertEquals(code_of(nil, { named = NAMED }, "source=right"), 20)
-  lu.assertEquals(code_of(record(2, 0.1, { source = ODD, fits = false })), 20)
   lu.assertEquals(code_of(skipped(2, 0.1)), 0) -- a shell may write there
   lu.assertEquals(code_of(nil, { problem = "x.lua was not read" }), 21)
   lu.assertEquals(select(2, verdicts("", {})), 21) -- nothing came
@@ -1057,36 +994,6 @@ function T.test_messages_that_may_hide_faults()
   local noise = record(2, 0.1, { kind = "skipped", source = { bus = "can0" }, values = { length = 7 }, fits = false })
   lu.assertEquals(said({ record(1, 0), noise }, { drops = { { count = 5, frame = 2 } } }),
     { title, text .. "5 lost while capturing, 1 in bytes of no frame" })
-end
-
--- Where Seq No does not number them, lost messages show by their period.
-function T.test_messages_that_their_gaps_have_room_for()
-  local function room(times, seqs, with)
-    local records = {}
-    for i, time in ipairs(times) do records[i] = record(i, time, { seq = seqs and seqs[i] }) end
-    local text = said(records, with)[2]
-    local count, listed = (text or ""):match("faults: (%d+) missing by their period,? ?(%d*)")
-    return tonumber(count), tonumber(listed)
-  end
-  lu.assertEquals(room { 0, 0.1, 0.2, 0.3 }, nil)
-  lu.assertEquals(room { 0, 0.1, 0.249, 0.3 }, nil) -- one came late
-  lu.assertEquals(room { 0, 0.1, 0.3, 0.4 }, 1)
-  lu.assertEquals(room { 0, 0.1, 5.1, 5.3 }, 50)
-  lu.assertEquals({ room({ 0, 0.1 }, nil, { last = 5.1 }) }, { 49, 49 }) -- it stops before the capture does
-  lu.assertEquals(room({ 0, 0.1 }, { 1, 2 }, { last = 5.1 }), 49)
-  lu.assertEquals(room({ 0, 0.1 }, nil, { last = 0.24 }), nil)
-  lu.assertEquals(room({ 0, 0.1, 0.3, 0.4 }, { 1, 2, 3, 4 }), nil) -- Seq No says that none is missing
-  lu.assertEquals(room({ 0, 0.1, 5.1, 5.3 }, nil, { matches = { [4] = true } }), nil) -- the filter lets no gap count
-  -- exactly one and a half periods have no room for another one
-  local own = catalogue_of.compile { { name = "own", title = "Own", id = 0x210, size = 1, every = 0.5,
-    { "f", "uint8", "F", group = "g", alarm = "A", flags = { { "hot", 1, "Hot" } } } } }
-  local source = { key = "own", bus = "can0", id = 0x210, type = own.messages[1] }
-  for time, expected in pairs { [0.75] = "YAPP faults: 0",
-    [0.8] = "damaged or lost messages may hide faults: 1 missing by their period" } do
-    local texts = said({ record(1, 0, { source = source, payload = "\0" }),
-      record(2, time, { source = source, payload = "\0" }) }, { catalogue = own })
-    lu.assertEquals(texts[#texts], expected)
-  end
 end
 
 function T.test_sizes_that_no_preference_decodes()

@@ -234,14 +234,16 @@ end
 function M.sort(list, order_of)
   local orders = {}
   for i, one in ipairs(list) do
-    orders[one] = { i, order_of(one) }
+    local order = { order_of(one) }
+    table.insert(order, i)
+    orders[one] = order
   end
   table.sort(list, function(a, b)
-    local left, right = orders[a], orders[b]
-    for i = 2, #left do
-      if left[i] ~= right[i] then return left[i] < right[i] end
+    local right = orders[b]
+    for i, value in ipairs(orders[a]) do
+      if value ~= right[i] then return value < right[i] end
     end
-    return left[1] < right[1]
+    return false
   end)
 end
 
@@ -335,9 +337,11 @@ function M.close_files(list, problem)
   end
   for _, file in ipairs(list) do
     local path, aside = file.path, file.aside
-    if path ~= aside then
-      os.remove(problem and aside or path) -- on Windows a rename does not replace a file
-      if not problem then note(file, select(2, os.rename(aside, path))) end
+    if problem and path ~= aside then
+      os.remove(aside)
+    elseif path ~= aside and not os.rename(aside, path) then
+      os.remove(path) -- on Windows a rename does not replace a file
+      note(file, select(2, os.rename(aside, path)))
     end
   end
   return problem

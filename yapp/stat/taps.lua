@@ -71,11 +71,9 @@ local function print_error(text)
   io.stderr:write("yapp: ", (text:gsub("\n", "\nyapp: ")), "\n")
 end
 
--- Make a folder, and those above it; return whether it is there.
+-- Make a folder in one that exists; return whether it is there.
 local function make_folder(path)
-  for stop in (path .. "/"):gmatch("()[/\\]") do
-    Dir.make(path:sub(1, stop - 1))
-  end
+  Dir.make(path)
   return Dir.exists(path)
 end
 
