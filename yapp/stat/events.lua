@@ -118,6 +118,7 @@ Events.__index = Events
 local function new_state(source)
   return {
     source = source,
+    every = source.type and source.type.every,
     last = nil, -- event of its latest good message
     faults = NOTHING, -- list of those that are set, as they rose, see message.faults
     is_numbered = false, -- true if Seq No numbers its messages: it changed
@@ -148,7 +149,7 @@ function M.new(settings, hand_on)
     add_bus_error = buses.new_errors(hand_on),
     states = states, -- in the order in which they came
     by_source = memo(new_state, states),
-    doubtful = {}, -- events that a `shared` behind them may explain, { event, shown_in } each
+    doubtful = {}, -- events that a `shared` behind them may explain
     has_messages = false, -- true if an event of an ID came
     undissected = {}, -- events of frames that are messages if other messages came
   }, Events)
@@ -159,7 +160,8 @@ end
 local function emit(self, kind, cause, values, shown_in)
   local event = new_follower(kind, cause, values)
   if kinds.BY_NAME[kind].is_doubtful then
-    table.insert(self.doubtful, { event = event, shown_in = shown_in or cause.frame })
+    event.shown_in = shown_in or cause.frame
+    table.insert(self.doubtful, event)
   else
     self.hand_on(event)
   end
@@ -174,21 +176,10 @@ local function clock_of(event)
   return seconds + nanoseconds / 1e9
 end
 
--- Return how many messages of a source have room in a gap, in seconds.
-local function room_of(source, length)
-  local every = source.type and source.type.every
-  local periods = every and length / every or 0
+-- Return how many messages have room in a gap, in seconds, between two that come every so often.
+local function room_in(length, every)
+  local periods = length / every
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
-end
-
--- Return the same between two messages.  The controller's clock has the gap, unless that was set.
--- length  of it by the stamps
-local function room_between(last, event, length, change)
-  local every = event.source.type and event.source.type.every or math.huge
-  if length > 0 and length <= MAX_GAP * every then return 0 end -- the usual case
-  local before, now = clock_of(last), clock_of(event)
-  local is_even = before and now and now > before and not change.jump
-  return room_of(event.source, is_even and now - before or length)
 end
 
 --- Return the event of a fault.
@@ -283,11 +274,15 @@ end
 
 -- Account for the time between two messages of a source: has it room for others, is it a silence?
 local function add_span(self, state, last, event, change)
-  local length, late = span(last.at, event.at), change.late
-  if change.may_be_late and length > self.settings.late * event.source.type.every then
-    late = length
+  local every, length = state.every, span(last.at, event.at)
+  local room, late = 0, change.late
+  if change.may_be_late and length > self.settings.late * every then late = length end
+  if length == 0 or length > MAX_GAP * every then
+    -- The controller's clock has the gap, unless that was set.
+    local before, now = clock_of(last), clock_of(event)
+    local is_even = before and now and now > before and not change.jump
+    room = room_in(is_even and now - before or length, every)
   end
-  local room = room_between(last, event, length, change)
   state.room = state.room + room
   if not late then return end
   state.room_silent = state.room_silent + room
@@ -302,7 +297,7 @@ local function add_message(self, state, event)
   if state.faults[1] then event.faults = state.faults end
   if last then
     if event.seq ~= last.seq then state.is_numbered = true end
-    if not values.is_unreliable then add_span(self, state, last, event, change) end
+    if state.every and not values.is_unreliable then add_span(self, state, last, event, change) end
   end
   self.hand_on(event)
   if event.raws then add_motion(self, state, event) end
@@ -363,28 +358,25 @@ end
 
 -- Account for the time from the last message of a source to the end of the capture.
 local function finish_source(self, state, last, length)
-  local every = last.source.type and last.source.type.every
-  state.room_at_end = room_of(last.source, length)
-  if every and length > self.settings.late * every then
-    local values = { length = output.seconds(length), is_last = true }
-    state.room_silent = state.room_silent + state.room_at_end
-    self.hand_on(new_follower("silence", last, values))
-  end
+  state.room_at_end = room_in(length, state.every)
+  if length <= self.settings.late * state.every then return end
+  state.room_silent = state.room_silent + state.room_at_end
+  self.hand_on(new_follower("silence", last, { length = output.seconds(length), is_last = true }))
 end
 
 --- End: hand on what only the end shows.
 -- length_since  function(event) -> seconds from a message to the capture's end
 -- has_times     true if lengths mean something
 function Events:finish(length_since, has_times)
-  for _, one in ipairs(self.doubtful) do
-    local event, state = one.event, self.by_source[one.event.source]
+  for _, event in ipairs(self.doubtful) do
     local means_something = has_times or event.kind ~= "silence"
-    if one.shown_in < state.shared_since and means_something then self.hand_on(event) end
+    local is_sure = event.shown_in < self.by_source[event.source].shared_since
+    if is_sure and means_something then self.hand_on(event) end
   end
   for _, state in ipairs(self.states) do
     local last = state.last
     if not (has_times or last and clock_of(last)) then state.room = 0 end
-    if last and not last.values.is_unreliable then
+    if last and state.every and not last.values.is_unreliable then
       finish_source(self, state, last, length_since(last))
     end
   end

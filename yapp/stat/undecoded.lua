@@ -4,23 +4,16 @@
 
 local compiler = require "yapp.message.catalogue"
 local input = require "yapp.base.input"
+local joined = require "yapp.base.joined"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 
 local M = {}
 
-local MAX_NAMED = 30 -- sources, or sizes, in a text
-
 local OTHER_CTL = " with a YAPP CTL other than 0, see yapp.all_extended"
-
-local bus_and_id = output.bus_and_id
 
 local Undecoded = {}
 Undecoded.__index = Undecoded
-
-local function new_list()
-  return {}
-end
 
 --- Make an empty list.
 -- settings  see stat.taps
@@ -31,7 +24,7 @@ function M.new(settings)
     -- that a preference of IDs can decode, about = a text, values = of its events } each.
     whole = {},
     parts = {}, -- the same of those whose first bytes were decoded
-    by_source = memo(new_list), -- by source, by size
+    by_source = memo(function() return {} end), -- by source, by size
   }, Undecoded)
 end
 
@@ -106,15 +99,14 @@ function M.ranges_of(ids)
 end
 
 -- Return the message type by ID that a preference may give it: the only one of this size, and of
--- all messages of the ID that have a size of the catalogue.
+-- all messages of the ID that have a size of the catalogue; false for none.
 local function types_by_id(self)
-  local types, is_known = {}, {}
+  local types = {}
   for _, entry in ipairs(self.whole) do
-    local id, like = entry.source.id, entry.likes[1]
-    local is_only = not (entry.source.type or entry.likes[2]) and id <= input.MAX_ID
-    if like and types[id] ~= like then
-      types[id] = is_only and not is_known[id] and like or nil
-      is_known[id] = true
+    local id, like, other = entry.source.id, entry.likes[1], entry.likes[2]
+    if like then
+      local is_only = not (entry.source.type or other) and id <= input.MAX_ID
+      types[id] = is_only and (types[id] == nil or types[id] == like) and like
     end
   end
   return types
@@ -122,13 +114,15 @@ end
 
 -- Return the complete preferences that decode the rest: a text, "" for none.
 local function advice_of(self)
-  local settings, ids, texts = self.settings, memo(new_list), {}
-  for id, message_type in pairs(types_by_id(self)) do table.insert(ids[message_type], id) end
+  local settings, types, texts = self.settings, types_by_id(self), {}
   for _, message_type in ipairs(settings.catalogue.messages) do
-    local list = ids[message_type]
-    if list[1] then
-      for _, id in ipairs(settings.ids[message_type.name]) do list[#list + 1] = id end
-      texts[#texts + 1] = ("-o yapp.%s_ids:%s"):format(message_type.name, M.ranges_of(list))
+    local ids = {}
+    for id, like in pairs(types) do
+      if like == message_type then ids[#ids + 1] = id end
+    end
+    if ids[1] then
+      ids = M.ranges_of(joined(ids, settings.ids[message_type.name]))
+      texts[#texts + 1] = ("-o yapp.%s_ids:%s"):format(message_type.name, ids)
     end
   end
   return texts[1] and ". Try " .. table.concat(texts, " ") or ""
@@ -136,41 +130,26 @@ end
 
 -- Texts -------------------------------------------------------------------------------------------
 
--- Join the first of many texts.
-local function join(texts, between)
-  local more = #texts - MAX_NAMED
-  if more > 0 then texts[MAX_NAMED + 1] = ("and %d more"):format(more) end
-  return table.concat(texts, between, 1, math.min(#texts, MAX_NAMED + 1))
-end
-
--- "can1 0x211, 0x212 (32 bytes each, the size of Motor Data)": entries of one size, which are
--- sorted; and how many messages they are.
-local function group_text(entries)
-  local texts, count, bus = {}, 0, nil
-  output.sort(entries, function(entry) return entry.source.bus or "", entry.source.id end)
-  for i, entry in ipairs(entries) do
-    local source = entry.source
-    texts[i] = source.bus == bus and ("0x%x"):format(source.id) or bus_and_id(source)
-    bus = source.bus
-    count = count + entry.values.count
-  end
-  local shape = count > 1 and "%s (%d bytes each, %s)" or "%s (%d bytes, %s)"
-  return shape:format(join(texts, ", "), entries[1].size, entries[1].about), count
-end
-
--- "648 messages were not decoded: ...", of entries; nil if there are none.
+-- "648 messages were not decoded: can1 0x211, 0x212 (32 bytes each, the size of Motor Data)", of
+-- entries, which it sorts; nil if there are none.
 local function text_of(entries, what)
-  local groups, texts, total = {}, {}, 0
-  local by_shape = memo(new_list, groups)
+  local shapes, texts, total = {}, {}, 0
+  local by_shape = memo(function() return { count = 0 } end, shapes) -- lists of names
+  output.sort(entries, function(entry) return entry.source.bus or "", entry.source.id end)
   for _, entry in ipairs(entries) do
-    table.insert(by_shape[entry.size .. entry.about], entry)
+    local source, count = entry.source, entry.values.count
+    local shape = by_shape[entry.size .. entry.about]
+    local is_same = shape.bus == source.bus
+    shape[#shape + 1] = is_same and ("0x%x"):format(source.id) or output.bus_and_id(source)
+    shape.bus, shape.entry = source.bus, entry
+    shape.count, total = shape.count + count, total + count
   end
-  for i, group in ipairs(groups) do
-    local text, count = group_text(group)
-    texts[i], total = text, total + count
+  for i, shape in ipairs(shapes) do
+    local form = shape.count > 1 and "%s (%d bytes each, %s)" or "%s (%d bytes, %s)"
+    texts[i] = form:format(table.concat(shape, ", "), shape.entry.size, shape.entry.about)
   end
   if total == 0 then return nil end
-  return ("%s %s: %s"):format(output.were(total, "message"), what, join(texts, "; "))
+  return ("%s %s: %s"):format(output.were(total, "message"), what, table.concat(texts, "; "))
 end
 
 --- Return the texts on undecoded messages and the preferences that decode them: a list, empty for
