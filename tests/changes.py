@@ -53,8 +53,8 @@ RULE = """\
 FORM = """\
   { -- can0|08404000|BBBE6FC720000000
     pattern = "^(%S+)|(%x+)|(%x*)$",
-    read = function(bus, id, data) return read_log(bus, id, data, "", "") end,
-    like = { "|%x+|" },
+    read = function(log, bus, id, data) return read_log(log, bus, id, data, "", "") end,
+    like = "|%x+|",
   },
 """
 MOTOR = "FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000100E38CD23CE04E00000550"
