@@ -400,14 +400,6 @@ local function show_pending(self, packet, contents, tvb)
   return ("[%s wait for more]"):format(bytes_text(pending))
 end
 
--- Add the expert item of a truncated packet, unless one of its frames has it.
-local function show_truncated(self, packet, results)
-  local last = results[#results]
-  if packet.bytes == "" or last and last.transfer.missing then return end
-  self.item = self.tree
-  add_expert(self, "truncated")
-end
-
 --- Show the contents of a packet.
 -- packet    see host.stream
 -- contents  of Reading:read_packet
@@ -426,7 +418,12 @@ function View:show_packet(packet, contents, wants, tvb, pinfo, tree)
     columns.protocol, columns.info = "YAPP", table.concat(texts, " | ")
     if source and not packet.line.has_address then columns.src = source end
   end
-  if packet.truncated then show_truncated(self, packet, results) end
+  local last = results[#results]
+  local is_said = packet.bytes == "" or last and last.transfer.missing -- by one of its frames
+  if packet.truncated and not is_said then
+    self.item = tree
+    add_expert(self, "truncated")
+  end
 end
 
 return M
