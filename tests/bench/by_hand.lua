@@ -77,12 +77,11 @@ end
 
 local function add_message(item, tvb, number, message)
   generated(add(item, fields.reassembled_in, number))
-  append(generated(add(item, fields.size, message.size)), " bytes")
+  generated(add(item, fields.size, message.size))
   generated(add(item, fields.reserved, 0))
-  append(generated(add(item, fields.crc, message.crc)), " [correct]")
+  generated(add(item, fields.crc, message.crc))
   generated(add(item, fields.status, 1))
   local list = generated(add(item, fields.fragments, tvb()))
-  list:set_text("5 fragments (32 bytes)")
   for i = 1, 5 do generated(add(list, fields.fragment, message.frames[i])) end
   generated(add(list, fields.count, 5))
   generated(add(list, fields.length, message.size))
@@ -154,7 +153,7 @@ local function begin(item, tvb, data, number, id, seq)
   open[seq] = { crc = sent, size = size, frames = { number } }
   if item then
     add_le(item, fields.crc, tvb(0, 4))
-    append(add_le(item, fields.size, tvb(4, 2)), " bytes")
+    add_le(item, fields.size, tvb(4, 2))
     add_le(item, fields.reserved, tvb(6, 2))
   end
   return "Motor Data  Start of 32 bytes"
