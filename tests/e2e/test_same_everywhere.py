@@ -235,7 +235,7 @@ def test_malformed_frames_of_known_ids(arguments, layout, passes, folder):
     rows = shown(written(folder, frames, layout), INFO, "yapp.size.mismatch", "yapp.fragment.incomplete",
                  passes=(*passes, *arguments), named=["frame.interface_id", "sll.ifindex", "can.id"])
     said = [re.sub(r" 0x\w+ \(.*\)", "", row[0]) for row in rows[12:14]]
-    assert said == ["Health, 3 bytes, the catalogue says 17", "Motor Data  Start"]
+    assert said == ["Health, 3 bytes, the catalogue says 17", "Motor Data  Start of no message"]
     assert bool(rows[12][1]) and bool(rows[13][2])
 
 
