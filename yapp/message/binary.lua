@@ -16,12 +16,10 @@ local function count(payload, index, size)
   return number
 end
 
--- Divide an integer of six to eight bytes by 10^9, exactly: 2^40 is 1099 * 10^9 + 511627776.
+-- Divide high * 2^40 + low by 10^9, exactly: 2^40 is 1099 * 10^9 + 511627776.
 -- returns  the quotient, and the rest, of the same sign
-local function divide(payload, index, size, is_signed)
-  local high, range = count(payload, index + 5, size - 5), 0x100 ^ (size - 5)
-  if is_signed and high >= range / 2 then high = high - range end
-  local number = high * 511627776 + count(payload, index, 5)
+local function divide(high, low)
+  local number = high * 511627776 + low
   local rest = number % BILLION
   local quotient = high * 1099 + (number - rest) / BILLION
   if quotient < 0 and rest > 0 then return quotient + 1, rest - BILLION end
@@ -30,20 +28,23 @@ end
 
 --- Return an integer: a number up to 2^53, beyond that its decimal digits.
 function M.integer(payload, index, size, is_signed)
-  if size > 6 then
-    local billions, rest = divide(payload, index, size, is_signed)
-    if math.abs(billions) < 9007199 then return billions * BILLION + rest end
-    return format("%.0f%09.0f", billions, math.abs(rest))
-  end
-  local number, range = count(payload, index, size), 0x100 ^ size
-  return is_signed and number >= range / 2 and number - range or number
+  local low_size = size > 6 and 5 or 0
+  local number, range = count(payload, index + low_size, size - low_size), 0x100 ^ (size - low_size)
+  if is_signed and number >= range / 2 then number = number - range end
+  if size <= 6 then return number end
+  local billions, rest = divide(number, count(payload, index, 5))
+  if math.abs(billions) < 9007199 then return billions * BILLION + rest end
+  return format("%.0f%09.0f", billions, math.abs(rest))
 end
 
 --- Split a signed 64 bit count of nanoseconds exactly ("Time").
 -- bytes    eight
 -- returns  seconds, nanoseconds; both negative, or zero, for a negative time
 function M.time(bytes)
-  return divide(bytes, 1, 8, true)
+  local a, b, c, d, e, f, g, h = byte(bytes, 1, 8)
+  if h >= 0x80 then h = h - 0x100 end
+  local low = e * 0x100000000 + d * 0x1000000 + c * 0x10000 + b * 0x100 + a
+  return divide(h * 0x10000 + g * 0x100 + f, low)
 end
 
 --- Return an IEEE 754 number of four or eight bytes.
@@ -62,8 +63,10 @@ end
 
 --- Return a time in seconds as a text with nine digits behind the point.
 function M.seconds(seconds, nanoseconds)
-  local sign = (seconds < 0 or nanoseconds < 0) and "-" or ""
-  return format("%s%d.%09d", sign, math.abs(seconds), math.abs(nanoseconds))
+  if seconds < 0 or nanoseconds < 0 then
+    return format("-%d.%09d", -seconds, -nanoseconds)
+  end
+  return format("%d.%09d", seconds, nanoseconds)
 end
 
 return M

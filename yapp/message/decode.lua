@@ -2,19 +2,19 @@
 -- From the payload of a message to its raw values, by the compiled catalogue, and which of them are
 -- remarkable.  Pure Lua.
 
-local band = require "yapp.base.bits".band
+local bits = require "yapp.base.bits"
 local field_kinds = require "yapp.message.field_kinds"
 
 local M = {}
 
-local concat, format = table.concat, string.format
+local band, concat, format = bits.band, table.concat, string.format
 
 local MAX_KEPT = 100 -- bytes of a payload in local variables: a function has up to 200
 
 -- The reader of a message is made from Lua source: a loop over the fields takes 15 % more of a
 -- packet list.  The first bytes of a payload are in b1, b2, ...; a missing one is nil.
 local READER = [[
-local FIELDS, KINDS, byte, add_remarks = ...
+local FIELDS, KINDS, byte, band, add_remarks = ...
 return function(payload)
 local %s = byte(payload, 1, %d)
 local raws, remarks, a = { %s }, false
@@ -38,7 +38,10 @@ end
 
 -- Return the condition under which a, the raw value of the i-th field, is remarkable, as source.
 local function remark_source(field, i)
-  if field.flags then return "a > 0" end
+  if field.flags then
+    local mask = bits.bor(field.alarm_bits, field.undefined)
+    return format("a > 0 and band(a, %.0f) ~= 0", mask)
+  end
   if field.values then return format("not FIELDS[%d].values[a]", i) end
   if field.ordinary then return format("a > %.0f", field.ordinary) end
   return field.special and "a - a ~= 0"
@@ -79,7 +82,7 @@ function M.new_reader(message_type)
   local source =
     format(READER, concat(names, ", "), #names, concat(raws, ",\n"), concat(lines, "\n"))
   local make = load(source, "=reader of " .. message_type.name)
-  return make(message_type.fields, field_kinds.BY_NAME, string.byte, add_remarks)
+  return make(message_type.fields, field_kinds.BY_NAME, string.byte, band, add_remarks)
 end
 
 --- Return whether bytes look like a message: all its values are defined, and at least two of its
