@@ -39,12 +39,13 @@ def kinds(events):
     return {row["kind"] for row in events}
 
 
-def flight(count=20, fault=10):
-    """The Motor Data of a controller at 10 Hz, each with its time in seconds, and a fault of two messages."""
+def flight(count=20, fault=10, boot=0):
+    """The Motor Data of a controller at 10 Hz, each with its time in seconds, and a fault of two messages.  boot: how many
+    seconds it is on when the capture begins."""
     messages = []
     for number in range(count):
         flags = 2 if fault is not None and fault <= number < fault + 2 else 0
-        payload = struct.pack("<6HBBIIqBB", *[32765] * 6, 70, 1, 0x40010000, flags, number * 100_000_000, 2, 80)
+        payload = struct.pack("<6HBBIIqBB", *[32765] * 6, 70, 1, 0x40010000, flags, (10 * boot + number) * 100_000_000, 2, 80)
         messages.append((number * 0.1, frame(MOTOR_DATA, payload, seq=number % 256)))
     return messages
 
@@ -98,7 +99,7 @@ def test_controllers_behind_one_address(folder, passes):
     packets = []
     for number in range(5):
         packets += [(seconds + number / 1000, Packet(data, Origin(ETHERNET, 0, 2 * number)))
-                    for seconds, data in flight(fault=10 if number == 3 else None)]
+                    for seconds, data in flight(fault=10 if number == 3 else None, boot=number)]
     path = written(folder, packets, stream_captures.udp)
     _, events = statistics(path, *passes, code=21)
     assert "shared" in kinds(events)
@@ -281,7 +282,7 @@ def test_bridges_of_ser2net_and_socat(passes):
     path = CASES / "ser2net_socat.pcap"
     ports = [word for bus, name in BRIDGES.items()
              for word in ("-d", f"{'udp' if 'UDP' in name else 'tcp'}.port=={bus.split(':')[1]},yapp_serial")]
-    names = "yapp.sources:" + ",".join(f'"{bus}"={name[-4:]}' for bus, name in BRIDGES.items())
+    names = "yapp.sources:" + ",".join(f"{bus}={name[-4:]}" for bus, name in BRIDGES.items())
     counts, events = statistics(path, *passes, *ports, "-o", names, code=21)
     assert {"crc", "shared"} <= {event["kind"] for event in events if event["bus"] not in BRIDGES}
     events = [event for event in events if event["bus"] in BRIDGES]
