@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Loading: by both routes, twice, from any folder; beside other plugins nothing of theirs is touched."""
-import os
 import pathlib
 import shutil
 import uuid
@@ -64,7 +63,7 @@ def test_script(home):
     assert load(home, *script(install(home / "elsewhere"))) == []
 
 
-@pytest.mark.parametrize("name", ["with space", "a-b+c (copy) 100%", "v1.2.3", "grün", "[x]"])
+@pytest.mark.parametrize("name", ["a-b+c (copy) 100%", "grün"])
 def test_script_in_any_folder(home, name):
     assert load(home, *script(install(home / name))) == []
 
@@ -91,12 +90,6 @@ def test_plugin_folder_and_script_load_once(home):
     refused, loaded = the_one_line(load(home, *script(install(home / "new", version="2"))))
     assert str(home / "new") in refused and "2-" in refused
     assert PLUGINS in loaded and "1-" in loaded and loaded.endswith("is already there; remove or update one of the two")
-
-
-def test_the_same_script_twice(home):
-    arguments = script(install(home / "plugin"))
-    _, loaded = the_one_line(load(home, *arguments, *arguments))
-    assert "is already there" in loaded
 
 
 def test_about_plugins(home):
@@ -134,26 +127,10 @@ def test_a_leak_is_seen(home):
     assert "globals: leaked" in done.stderr and "globals: string.rep" in done.stderr
 
 
-def put_copy(place):
-    tshark.copy_plugin(place)
-
-
-def put_clone(place):
-    """With all that is in the repository: the tests, too, are Lua files."""
-    shutil.copytree(tshark.ROOT, place, ignore=shutil.ignore_patterns(".git", "__pycache__", "test_captures", "dist"))
-
-
-def put_link(place):
-    tshark.copy_plugin(place.parents[5] / "elsewhere")
-    place.symlink_to(place.parents[5] / "elsewhere")
-
-
-@pytest.mark.parametrize("put", [put_copy, put_clone, put_link])
-def test_a_clone_in_a_plugin_folder(home, put):
+def test_a_clone_in_a_plugin_folder(home):
     """Wireshark runs all of its modules, which complain; the plugin works."""
-    place = home / PLUGINS / "clone"
-    place.parent.mkdir(parents=True, exist_ok=True)
-    put(place)
+    shutil.copytree(tshark.ROOT, home / PLUGINS / "clone",
+                    ignore=shutil.ignore_patterns(".git", "__pycache__", "test_captures", "dist"))
     for path in [home, *home.rglob("*")]:
         path.chmod(0o755 if path.is_dir() else 0o644)
     done = tshark.run("-r", CAPTURE, plugin=False, env={"HOME": str(home)}, cwd="/", lua_errors=True)
@@ -169,11 +146,3 @@ def test_any_folder_name(folder, name):
         path.chmod(0o755 if path.is_dir() else 0o644)
     done = tshark.run(*script(plugin), "-r", CAPTURE, plugin=False)
     assert "Motor Data" in done.stdout
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
-def test_unreadable_catalogue(home):
-    plugin = install(home / "plugin")
-    (plugin / "taurus_fields.lua").chmod(0)
-    done = tshark.run(*script(plugin), "-r", CAPTURE, plugin=False, env={"HOME": str(home)})
-    assert "taurus_fields.lua" in done.stderr and "Permission denied" in done.stderr and "YAPP" in done.stdout

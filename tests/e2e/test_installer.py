@@ -2,7 +2,6 @@
 """tools/install.py, the zips and `make demo`: what is installed where, what a user changed is never lost, nothing is left
 behind, and what is wrong is said in a line."""
 import hashlib
-import json
 import os
 import pathlib
 import re
@@ -96,14 +95,6 @@ def test_everything_is_installed_and_removed(home, source):
     assert all_of(home) == set()
 
 
-def test_an_extcap_of_an_earlier_wireshark(home, folder, source):
-    """4.0 had it in another folder than 4.4 has: after an upgrade of Wireshark it is in one place again."""
-    run(home, source=source, path=other_tshark(folder, "TShark (Wireshark) 4.0.1 (v4.0.1)\nwith Lua 5.2"), code=1)
-    assert list((home / EXTCAP_4_0).iterdir())
-    run(home, source=source)
-    assert not (home / EXTCAP_4_0).exists() and list((home / EXTCAP).iterdir())
-
-
 def test_folders_of_the_user_stay(home):
     (home / PLUGINS).mkdir(parents=True)
     for path in [home, *home.rglob("*")]:
@@ -170,44 +161,6 @@ def test_purge(home, source):
     run(home, "check", "--purge", source=source, code=2)
 
 
-def by_command(home, what, command="/opt/venv/bin/yapp-tables"):
-    """As yapp-tables does it, which says where it is."""
-    code = f"import sys, install; sys.exit(install.run({what!r}, False, {command!r}))"
-    environment = {**os.environ, "HOME": str(home), "PATH": "/none", "PYTHONPATH": str(tshark.ROOT / "tools/src/yapp_tables")}
-    subprocess.run([PYTHON, "-B", "-c", code], env=environment, check=True, capture_output=True, **tshark._user())
-
-
-def test_where_yapp_tables_is(home):
-    """One line in Wireshark's configuration, which the plugin's menu reads; install.py leaves it as it is."""
-    note = home / ".config/wireshark/yapp_tables.path"
-    by_command(home, "install", "/old/yapp-tables")
-    by_command(home, "install")
-    assert note.read_text() == "/opt/venv/bin/yapp-tables\n"
-    run(home)
-    assert note.read_text() == "/opt/venv/bin/yapp-tables\n"
-    by_command(home, "uninstall")
-    assert all_of(home) == set()
-
-
-def test_files_that_a_later_version_does_not_have(home, source):
-    """Its files go, but for those that the user changed or put there."""
-    run(home, source=source)
-    modules, names = home / YAPP / "yapp", ("yapp_former.lua", "yapp_other.lua")
-    modules.mkdir()
-    listed = json.loads((home / YAPP / "installed.json").read_text())
-    for name in names:
-        (modules / name).write_text("return {}\n")
-        listed["files"][str(modules / name)] = hashlib.sha256(b"return {}\n").hexdigest()
-    (home / YAPP / "installed.json").write_text(json.dumps(listed))
-    mine = edit(modules / "yapp_other.lua")
-    (modules / "my_own.lua").write_text("return {}\n")
-    line_of(run(home, source=source), "kept", "yapp_other.lua: you changed it")
-    assert {path.name for path in modules.iterdir()} == {"my_own.lua", "yapp_other.lua"}
-    assert (modules / "yapp_other.lua").read_bytes() == mine
-    run(home, "uninstall", source=source)
-    assert {path.name for path in modules.iterdir()} == {"my_own.lua", "yapp_other.lua"}
-
-
 # What is wrong --------------------------------------------------------------------------------------------------------
 
 def test_another_copy_is_named(home):
@@ -271,20 +224,6 @@ def test_which_wireshark_and_which_lua(home, folder):
     lines = run(home, "check", path=path)
     line_of(lines, "wireshark", f", Lua 5.5.0: {folder / 'bin/tshark'}")
     line_of(lines, "checked", "loads")
-
-
-def test_what_to_do_next(home, folder, source):
-    """The command opens a capture that is there, by a program that is there; none is named beside a problem."""
-    path = other_tshark(folder, "TShark (Wireshark) 4.6.9.\nwith Lua 5.4.7", protocols="Yet Another\tYAPP\tyapp\tT")
-    (folder / "bin/python3").symlink_to("/usr/bin/python3")
-    only = path.split(":", maxsplit=1)[0]
-    assert run(home, path=only)[-1] == f"next      tshark -q -r {tshark.ROOT / 'docs/first.pcapng'} -z yapp,faults"
-    program(folder / "bin/wireshark", "true")
-    assert run(home, path=path)[-1] == f"next      wireshark -C YAPP {tshark.ROOT / 'docs/first.pcapng'}"
-    assert run(home, source=source, path=path)[-1] == "next      wireshark -C YAPP CAPTURE.pcapng"
-    assert not any(line.startswith("next") for line in run(home, "check", path=path))
-    lines = run(home, code=1, path=other_tshark(folder, "TShark (Wireshark) 3.6.2.\nwith Lua 5.2"))
-    assert not any(line.startswith("next") for line in lines)
 
 
 def test_no_python_for_the_live_ports(home):
@@ -368,18 +307,6 @@ def test_what_a_release_has(zips, made):
     assert lines == [f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}" for path in zips[:-1]]
 
 
-def test_the_same_commit_gives_the_same_bytes(folder, made):
-    """In another folder, by a user with other rights, at another time."""
-    top = repository(folder / "elsewhere")
-    for path in top.rglob("*"):
-        os.utime(path, (1_000_000_000, 1_000_000_000))
-        path.chmod(0o700)
-    again = dist(top, folder / "out", TZ="Asia/Tokyo")
-    assert {name: path.read_bytes() for name, path in again.items()} == {name: path.read_bytes() for name, path in made.items()}
-    later = dist(top, folder / "later", SOURCE_DATE_EPOCH="1700000000")
-    assert later["SHA256SUMS"].read_bytes() != made["SHA256SUMS"].read_bytes()
-
-
 def test_the_zip_installs(home, folder, zips):
     zipfile.ZipFile(zips[0]).extractall(folder / "unpacked")
     lines = run(home, source=folder / "unpacked/yapp", path=REAL)
@@ -411,25 +338,6 @@ def test_the_readme_of_the_zip(home, folder, zips):
     run(home, source=folder / "yapp")
     done = tshark.run(*commands[2].split()[1:], plugin=False, env={"HOME": str(home)}, cwd=folder / "yapp")
     assert "motor_overcurrent" in done.stdout
-
-
-def test_the_samples(zips, folder):
-    """Each has its line, and YAPP in it."""
-    archive = zipfile.ZipFile(zips[2])
-    names = {name.partition("/")[2] for name in archive.namelist()}
-    rows = re.findall(r"^\| `(.+?)` \| \w.*\|$", archive.read("yapp-samples/README.md").decode(), re.MULTILINE)
-    assert sorted(names) == sorted([*rows, "README.md"]) and 10 <= len(rows) <= 16
-    archive.extractall(folder)
-    for name in rows if levels.ALL else rows[:1]:
-        assert tshark.run("-r", folder / "yapp-samples" / name, "-Y", "yapp", "-c", "5").stdout, name
-
-
-@pytest.mark.skipif(not shutil.which("pip3"), reason="no pip here")
-def test_pip_installs_the_wheel(folder, zips):
-    subprocess.run(["pip3", "install", "-q", "--no-index", "--no-deps", "--target", folder / "site", zips[3]], check=True,
-                   capture_output=True)
-    assert (folder / "site/bin/yapp-tables").exists()
-    assert (folder / "site/yapp_tables/plugin/yapp.lua").exists()
 
 
 def test_one_version():
@@ -467,16 +375,3 @@ def test_demo(folder, capture, shown):
     lines = demo(folder, capture)
     assert re.search(shown, "\n".join(lines))
     assert len(lines) <= 60 and "Next: make install, then open" in lines[-1]
-
-
-def test_demo_beside_an_installed_plugin(folder):
-    """In the README's order: nothing is loaded twice, and the last line does not ask to install again."""
-    run(folder)
-    ordinary = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}  # root gets no plugin from 4.4 on
-    folder.chmod(0o777)
-    root = tshark.copy_plugin(folder / "clone", tshark.ROOT)  # where that user may read it
-    for name in ("tests/demo", "docs/first.pcapng"):
-        (root / name).parent.mkdir()
-        shutil.copy(tshark.ROOT / name, root / name)
-    lines = demo(folder, "docs/first.pcapng", root, **ordinary)
-    assert "YAPP faults: 1" in lines and lines[-1].startswith("Next: open docs/first.pcapng")

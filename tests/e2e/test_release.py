@@ -129,23 +129,6 @@ def test_make_without_sudo(folder, names):
     assert "not found" not in done.stdout + done.stderr
 
 
-def test_make_with_sudo(folder):
-    path = machine(folder, "apt-get")
-    (folder / "bin/sudo").write_text(f'#!/bin/bash\necho "$@" >>{folder}/asked\n')
-    (folder / "bin/sudo").chmod(0o755)
-    run(tshark.ROOT, "make", "needs-tshark", PATH=path)
-    assert [line.split()[0] for line in (folder / "asked").read_text().splitlines()] == ["apt-get", "env"]
-
-
-def test_make_with_a_sudo_that_refuses(folder):
-    path = machine(folder, "apt-get")
-    (folder / "bin/sudo").write_text('#!/bin/bash\necho "user is not in the sudoers file." >&2\nexit 1\n')
-    (folder / "bin/sudo").chmod(0o755)
-    done = run(tshark.ROOT, "make", "install", PATH=path)
-    assert done.returncode == 2 and "not in the sudoers file" in done.stderr
-    assert "Install it as root, on Debian and Ubuntu by: apt-get install --no-install-recommends tshark" in done.stdout
-
-
 WORKFLOWS = sorted((tshark.ROOT / ".github/workflows").glob("*.yml"))
 
 

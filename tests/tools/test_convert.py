@@ -133,15 +133,6 @@ def test_a_full_disk_is_a_sentence_and_leaves_no_half_file(make_capture, yapp_ta
     assert not (tmp_path / "page.html").exists()
 
 
-def test_a_list_from_stdin(make_capture, yapp_tables, tmp_path):
-    flight(make_capture, "one.pcap"), flight(make_capture, "two.pcap", 4)
-    done = yapp_tables("convert", "-", "--to", "csv", "--out", "data", input="one.pcap\n\ntwo.pcap\n")
-    assert done.returncode == 0
-    for name in ("one", "two"):
-        result(tmp_path / "data/message=motor", name, ".csv")
-    assert "2 captures" in done.stderr
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "sentence"),
     [
@@ -153,7 +144,6 @@ def test_a_list_from_stdin(make_capture, yapp_tables, tmp_path):
         (["flight.pcap", "--to", "csv", "--out", "data", "--plugin", "none.lua"], 2, "no plugin at"),
         (["flight.pcap", "--to", "csv", "--out", "nosuch://bucket/data"], 2, "nosuch"),
         (["flight.pcap", "--to", "csv", "--out", "s3://bucket"], 2, "names no folder"),
-        (["flight.pcap", "--to", "csv", "--out", "data", "-o", "page.html"], 2, "no preference NAME:VALUE"),
     ],
 )
 def test_bad_input_gets_a_sentence(make_capture, yapp_tables, arguments, code, sentence):

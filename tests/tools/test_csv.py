@@ -9,7 +9,6 @@ from decimal import Decimal
 from pathlib import Path
 
 import pandas as pd
-import polars as pl
 import pytest
 from running import PLUGIN
 
@@ -102,16 +101,6 @@ def test_every_value(flight, monkeypatch):
             assert (Decimal(shown) if isinstance(value, Decimal) else shown) == value, name
             assert other[name] == value, name
     assert [stamp.value for stamp in by_pandas.index] == [frame.at for frame, *_ in rows]
-
-
-def test_types(flight, monkeypatch):
-    by_pandas, by_polars = read(flight[0], monkeypatch)
-    kinds = {"rpm_measured": (pl.Float64, "float64"), "fault_flags": (pl.Int64, "Int64"), "id": (pl.Int64, "Int64"),
-             "fault_motor_overcurrent": (pl.Int8, "boolean"), "esc_temperature_special": (pl.String, "string"),
-             "bus": (pl.String, "string"), "timestamp": (pl.Decimal(38, 9), "string")}  # fmt: skip
-    for name, (of_polars, of_pandas) in kinds.items():
-        assert by_polars[name].dtype == of_polars, name
-        assert by_pandas[name].dtype == of_pandas, name
 
 
 def test_an_unsigned_integer_of_64_bits(tmp_path, monkeypatch):

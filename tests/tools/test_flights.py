@@ -13,7 +13,6 @@ import pyarrow.dataset as ds
 import pytest
 import yapp_tables as yt
 from asammdf import MDF
-from mcap.reader import make_reader
 from running import PLUGIN, result, run_tables
 
 OPTIONS = [word for option in flights.OPTIONS for word in ("-o", option)]
@@ -124,17 +123,6 @@ def test_mf4(flight):
                 assert absent.sum() == sum(
                     row[3] == flights.NAN16 for row in truth.motor if row[1:3] == (bus, int(number, 16))
                 )
-    assert_speeds(found, truth)
-
-
-def test_mcap(flight):
-    path, truth = flight
-    found = []
-    with result(convert(path, "mcap"), "flight", ".mcap").open("rb") as file:
-        for _, channel, message in make_reader(file).iter_messages():
-            if channel.topic.startswith("/motor"):
-                row = json.loads(message.data)
-                found.append((message.log_time, row["bus"], row["id"], row.get("rpm_measured")))
     assert_speeds(found, truth)
 
 

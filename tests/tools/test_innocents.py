@@ -56,17 +56,6 @@ def test_a_fault_for_the_vendor(tmp_path):
     assert not list(tmp_path.glob("no.zip*"))
 
 
-def test_a_card_has_what_else_happened_within_a_second(tmp_path):
-    pairs.write(tmp_path / "run.pcapng", "x four0", {}, 60.0)
-    done = run_tables(tmp_path, "report", "run.pcapng", "--out", "page.html", "--plugin", PLUGIN, *pairs.OPTIONS)
-    assert done.returncode == 0, done.stderr
-    page = (tmp_path / "page.html").read_text()
-    assert "no event within a second" in page
-    rows = re.findall(r"events within a second</p><table>(.*?)</table>", page)
-    assert rows
-    assert all(re.search(r">-?[01]\.\d{3} s<.*>(fault|incomplete|missing|silence) ", row) for row in rows), rows
-
-
 def test_what_comes_many_times_is_one_sentence(tmp_path):
     pairs.write(tmp_path / "run.pcapng", "often", {1: {"flag": 0.02}}, 80.0)
     done = run_tables(tmp_path, "report", "run.pcapng", "--out", "page.html", "--plugin", PLUGIN, *pairs.OPTIONS)

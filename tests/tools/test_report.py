@@ -143,39 +143,6 @@ def test_it_opens_without_an_error_and_asks_the_network_for_nothing(browser, pag
     assert {url for url in asked(browser) if not url.startswith(("data:", "blob:"))} == {page[0].as_uri()}
 
 
-def test_no_click_sends_anything_anywhere(example):
-    """Everything that can be clicked is: no request, no window, no form."""
-    browser = open_browser(example, width=1200)
-    try:
-        browser.get_log("performance")
-        browser.execute_script(
-            """window.sent = [];
-            for (const [owner, name] of [[window, "open"], [window, "fetch"], [navigator, "sendBeacon"],
-              [XMLHttpRequest.prototype, "send"], [HTMLFormElement.prototype, "submit"],
-              [HTMLFormElement.prototype, "requestSubmit"]])
-              owner[name] = (...given) => { window.sent.push([name, String(given[0])]); };
-            for (const one of document.querySelectorAll("button, summary, tr, td, a, label, .modebar-btn, [tabindex]"))
-              if (!(one.href ?? "").startsWith("file:")) one.dispatchEvent(new MouseEvent("click", {bubbles: true}));
-            """
-        )
-        time.sleep(2)
-        assert browser.execute_script("return window.sent") == []
-        draw(browser)
-        buttons = browser.execute_script(
-            "return [...new Set([...document.querySelectorAll('.modebar-btn')].map(one => one.dataset.title))]"
-        )
-        assert len(buttons) == 5
-        assert not [text for text in buttons if re.search("share|cloud|studio|edit", text, re.IGNORECASE)]
-        contexts = browser.execute_script("return [...document.querySelectorAll('.plot')].map(plot => plot._context)")
-        assert len(contexts) > 10
-        for context in contexts:
-            assert (context["plotlyServerURL"], context["showSendToCloud"], context["showLink"]) == ("", False, False)
-        assert not [url for url in asked(browser) if not url.startswith(("data:", "blob:"))]
-        assert len(browser.window_handles) == 1
-    finally:
-        browser.quit()
-
-
 def incidents_of(browser):
     """The rows of the table of incidents, those that are unfolded too, with exact begin and end in seconds."""
     script = """return [...document.querySelectorAll("#incidents tbody tr")].map((row) => ({
@@ -243,7 +210,7 @@ def test_an_incident_unfolds_and_its_rows_are_buttons(example_browser):
     card, *parts = [row["cells"] for row in before if row["part"]]
     assert [cells[0] for cells in parts] == ["Motor overcurrent", "Faulted", "silence", "reboot", "reboot"]
     # Its card: 17.84 A became 26.34 A four tenths of a second before.
-    assert re.search(r"-0\.400 s\s*DC Current\s*17\.84 → 26\.34 A", card[0]), card
+    assert re.search(r"-0\.400 +671 +motor +dc_current +17\.8415 +26\.3423 +A", card[0]), card
     shown = "return [...document.querySelectorAll('tr.part')].map(row => row.offsetHeight > 0)"
     assert not any(example_browser.execute_script(shown))
     unfold = example_browser.find_element(By.CSS_SELECTOR, "#incidents [aria-expanded]")
@@ -337,22 +304,6 @@ def test_the_header_says_what_it_is_of(example_browser):
     assert re.search(r"health \([0-9a-f]{8}\)", said)  # the catalogue's version
 
 
-def test_no_margin_is_empty_and_nothing_sticks_out(example_browser):
-    width, scroll = example_browser.execute_script(
-        "return [document.documentElement.clientWidth, document.documentElement.scrollWidth]"
-    )
-    assert scroll <= width
-    draw(example_browser)
-    script = """return [...document.querySelectorAll(".plot")].map(plot => {
-        const {l, r} = plot._fullLayout._size; return [l, r, plot.clientWidth, plot.parentNode.parentNode.clientWidth]; })"""
-    for left, right, plot, room in example_browser.execute_script(script):
-        assert left < 60
-        assert right < 20
-        assert plot <= room
-    heads = "return [...document.querySelectorAll('figcaption > *')].map(text => text.getBoundingClientRect().right)"
-    assert max(example_browser.execute_script(heads)) <= width
-
-
 def test_a_colour_is_a_controller_and_each_value_is_named_once(example_browser):
     script = (
         """const [query] = arguments; return [...document.querySelectorAll(query)].map(one => one.textContent.trim())"""
@@ -413,29 +364,6 @@ def test_what_nobody_saw_before_stands_in_the_page(make_capture, yapp_tables, tm
         assert "skipped" not in row
     finally:
         browser.quit()
-
-
-def contrast(browser):
-    """The least contrast of a line with the page's background."""
-    script = """
-      const rgb = (text) => { const pen = document.createElement("canvas").getContext("2d"); pen.fillStyle = text; pen.fillRect(0, 0, 1, 1);
-        return [...pen.getImageData(0, 0, 1, 1).data].slice(0, 3); };
-      const light = (text) => { const [r, g, b] = rgb(text).map((c) => (c /= 255) <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
-        return 0.2126 * r + 0.7152 * g + 0.0722 * b + 0.05; };
-      const paper = light(getComputedStyle(document.body).backgroundColor);
-      const lines = [...document.querySelectorAll(".plot")].flatMap(plot => plot.data).filter(({line}) => line).map(({line}) => light(line.color));
-      return Math.min(...lines.map((line) => Math.max(line, paper) / Math.min(line, paper)))"""
-    return browser.execute_script(script)
-
-
-def test_lines_are_seen_on_both_backgrounds(browser):
-    for theme in ("light", "dark"):
-        browser.execute_script(
-            "if ((document.documentElement.dataset.theme ?? 'light') !== arguments[0]) document.getElementById('theme').click()",
-            theme,
-        )
-        draw(browser)
-        assert contrast(browser) >= 3
 
 
 def test_one_cursor_tells_all_values_at_its_time(browser, page):
@@ -644,17 +572,6 @@ def test_limits_are_bands(eight_browser):
     assert eight_browser.execute_script(written, "rpm_measured") == []
     said = "return document.querySelector('figure[data-key=\"motor.dc_voltage\"] figcaption').textContent"
     assert "limit: at least 40 V, at most 55 V" in eight_browser.execute_script(said)
-
-
-def test_each_picture_has_a_table(eight_browser):
-    draw(eight_browser)
-    found = eight_browser.execute_async_script(
-        """const done = arguments[0]; document.querySelectorAll("figure details").forEach(one => { one.open = true; });
-        setTimeout(() => { done([...document.querySelectorAll("figure details")].map(one => [one.querySelectorAll("tr").length, one.querySelectorAll("th").length]));
-          document.querySelectorAll("figure details").forEach(one => { one.open = false; }); }, 1500)"""
-    )
-    assert len(found) > 8
-    assert all(rows > 1 and heads > 2 for rows, heads in found), found
 
 
 def test_on_paper_nothing_is_cut_and_no_picture_is_split(eight):

@@ -49,7 +49,7 @@ def write_case(capture: Path, number: int, tshark: Tshark, out: Path) -> str:
             raise CaptureError(f"{capture}: tshark wrote no frames of fault {number}; try -z yapp,fault,{number}")
         write_report(flight, page, Limits(), told)
         files = {
-            "card.txt": tshark.run(capture, ["-q", "-z", f"yapp,fault,{number}"]).encode(),
+            "card.txt": card.pop("text").encode(),
             "card.json": json.dumps(card, indent=1, default=float).encode(),
             "versions.txt": "".join(f"{key}: {value}\n" for key, value in versions.items()).encode(),
             part.name: part.read_bytes(),

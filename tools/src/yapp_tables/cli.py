@@ -31,7 +31,7 @@ EXAMPLES = {
     "check": ("", "|| yapp-tables install"),
     "uninstall": ("", "--purge"),
 }
-CAPTURES = "files, patterns such as 'flights/**/*.pcapng', - for a list from stdin"
+CAPTURES = "files, or patterns such as 'flights/**/*.pcapng'"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -59,9 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     how = argparse.ArgumentParser(add_help=False)
-    how.add_argument(
-        "-o", dest="options", action="append", default=[], type=_preference, metavar="NAME:VALUE", help="a preference"
-    )
+    how.add_argument("-o", dest="options", action="append", default=[], metavar="NAME:VALUE", help="a preference")
     how.add_argument("-C", dest="profile", metavar="PROFILE", help="a profile of Wireshark's")
     how.add_argument("--filter", metavar="EXPRESSION", help="a display filter: only these messages")
     how.add_argument("--plugin", metavar="PATH", help="yapp.lua, where the plugin is not installed")
@@ -102,25 +100,16 @@ def _parser() -> argparse.ArgumentParser:
     learn.add_argument("--margin", type=_share, default="10%", metavar="10%", help="beyond what good flights show")
     for command in (convert, learn):
         command.add_argument("captures", nargs="+", metavar="CAPTURE", help=CAPTURES)
-    for command in (convert, report, learn):
-        command.add_argument("--strict", action="store_true", help="end with 1 where not all was decoded, not with 3")
 
     commands.add_parser("install", help="the plugin, live ports and profile into Wireshark")
     commands.add_parser("check", help="what is installed in Wireshark, and what is wrong with it")
     uninstall = commands.add_parser("uninstall", help="what was installed out of Wireshark")
     uninstall.add_argument("--purge", action="store_true", help="what you changed, too")
     for name, command in commands.choices.items():
-        run = globals().get(f"_{name}", _installer)
-        command.set_defaults(run=run, what=name)
+        command.set_defaults(run=RUN.get(name, _installer), what=name)
         lines = "\n".join(f"  yapp-tables {name} {example}" for example in EXAMPLES[name])
         command.epilog, command.formatter_class = f"examples:\n{lines}", argparse.RawDescriptionHelpFormatter
     return parser
-
-
-def _preference(text: str) -> str:
-    if ":" not in text:
-        raise argparse.ArgumentTypeError(f"{text} is no preference NAME:VALUE; --out names the page or the folder")
-    return text
 
 
 def _positive(text: str) -> int:
@@ -141,23 +130,11 @@ def _say(texts: Iterable[str]) -> None:
 
 
 def _installer(given: argparse.Namespace) -> int:
-    return install.run(given.what, getattr(given, "purge", False), install.own_program())
-
-
-def _captures(patterns: list[str]) -> list[Path]:
-    """Return what is named, and what stdin names for `-`."""
-    if "-" in patterns:
-        listed = [line for line in sys.stdin.read().splitlines() if line.strip()]
-        patterns = [name for name in patterns if name != "-"] + listed
-    return find(patterns)
+    return install.run(given.what, getattr(given, "purge", False))
 
 
 def _tshark(given: argparse.Namespace) -> Tshark:
     return Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile)
-
-
-def _code(given: argparse.Namespace, lacks: object) -> int:
-    return (FAILED if given.strict else INCOMPLETE) if lacks else 0
 
 
 class _NoPandas(MetaPathFinder):
@@ -174,7 +151,7 @@ def _convert(given: argparse.Namespace) -> int:
     logging.disable(logging.CRITICAL)
     if given.to != "mf4":
         sys.meta_path.insert(0, _NoPandas())
-    captures = _captures(given.captures)
+    captures = find(given.captures)
     if given.bench and len(captures) > 1:
         raise SetupError(f"{given.bench} is the log of one capture: name that one alone")
     bench = os.path.abspath(given.bench) if given.bench else None
@@ -194,7 +171,7 @@ def _convert(given: argparse.Namespace) -> int:
     if lacking:
         verb = "was" if lacking == 1 else "were"
         _say([f"{lacking} of {whole} {verb} not decoded completely: the lines above say what to set"])
-    return FAILED if failed else _code(given, lacking)
+    return FAILED if failed else INCOMPLETE if lacking else 0
 
 
 def _report(given: argparse.Namespace) -> int:
@@ -202,7 +179,7 @@ def _report(given: argparse.Namespace) -> int:
     page = Path(given.out or Path(given.capture).with_suffix(".html"))
     flight = write(Path(given.capture), _tshark(given), page, Path(given.rules) if given.rules else None)
     _say(f"{flight.name}: {text}" for text in flight.left_out)
-    return FAILED if flight.partial else _code(given, flight.left_out)
+    return FAILED if flight.partial else INCOMPLETE if flight.left_out else 0
 
 
 def _case(given: argparse.Namespace) -> int:
@@ -237,8 +214,11 @@ def _trend(given: argparse.Namespace) -> int:
 
 
 def _baseline(given: argparse.Namespace) -> int:
-    captures = _captures(given.captures)
+    captures = find(given.captures)
     text, left = baseline.learn(captures, _tshark(given), given.margin)
     write_whole(Path(given.out), text)
     _say([*left, f"{count_of(len(captures), 'flight')} in {given.out}"])
-    return _code(given, left)
+    return INCOMPLETE if left else 0
+
+
+RUN = {"convert": _convert, "report": _report, "case": _case, "diff": _diff, "trend": _trend, "baseline": _baseline}

@@ -144,10 +144,8 @@ class DataSet:
                 self.fs.rm(path)
 
     def _write(self, name: str, record: dict[str, Any]) -> None:
-        """Write a note whole or not at all."""
-        with self.aside() as folder:
-            (folder / "note").write_text(json.dumps(record, indent=1), encoding="utf-8")
-            self._move(folder / "note", f"{self.notes}/{name}.json")
+        """Write a note; half of one is none, see _read."""
+        self.fs.pipe_file(f"{self.notes}/{name}.json", json.dumps(record, indent=1).encode())
 
     def _read(self, name: str) -> dict[str, Any] | None:
         try:

@@ -210,9 +210,6 @@ def _reason(found: Comparison) -> str:
     for run in found.runs:
         if run.seconds() < LEAST_SECONDS:
             return f"{run.name} lasts {run.seconds():.3g} s; {LEAST_SECONDS:g} s are needed"
-    catalogues = {flight.catalogue for run in found.runs for flight in run.flights}
-    if len(catalogues) > 1:
-        return f"the catalogues differ: {' / '.join(sorted(catalogues))}; decode both with the same messages"
     only = [
         f"{who} ({one.samples[who, message].title}) is in {one.name} only"
         for one, other in ((before, after), (after, before))
@@ -222,29 +219,21 @@ def _reason(found: Comparison) -> str:
     if only:
         return f"the controllers differ: {'; '.join(only[:4])}; name them alike with -o yapp.sources"
     found.pairs = [Pair(found.runs, (one, after.samples[key])) for key, one in before.samples.items()]
-    shares: list[tuple[bool, float]] = []
-    speeds: dict[str, tuple[float, float]] = {}
     loads = {pair.sides[0].controller: _loads(pair) for pair in found.pairs if pair.sides[0].speed()}
+    shares: list[list[float]] = [[], []]
     for pair in found.pairs:
         pair.loads = loads.get(pair.sides[0].controller)
         if pair.loads and pair.sides[0].speed():
             common, moving = terms(*pair.loads, False)[1], bins_of_both(pair.loads) >= 0
-            for run, is_after in zip(found.runs, (False, True), strict=True):
-                use = moving & (pair.is_after == is_after)
-                shares.append((is_after, float(common[pair.is_after == is_after].sum() / max(use.sum(), 1))))
-                own = np.concatenate([load.speed for load in pair.loads])[use]
-                low, high = speeds.get(run.name, (np.inf, -np.inf))
-                speeds[run.name] = min(low, own.min(initial=np.inf)), max(high, own.max(initial=-np.inf))
-    if not shares:
-        return ""
-    low, high = (float(np.median([share for is_its, share in shares if is_its == side])) for side in (False, True))
-    if min(low, high) < LEAST_COMMON:
-        text = ", ".join(f"{name} {low:.0f} to {high:.0f}" for name, (low, high) in speeds.items())
-        return (
-            f"too few loads in common: {low:.0%} of BEFORE and {high:.0%} of AFTER have a speed and voltage that "
-            f"the other has, too (speeds: {text}); fly the same manoeuvres"
-        )
-    found.notes.append(f"{low:.0%} of BEFORE and {high:.0%} of AFTER are at loads that both have")
+            for side, own in enumerate(shares):
+                use = pair.is_after == bool(side)
+                own.append(float(common[use].sum() / max(moving[use].sum(), 1)))
+    if shares[0]:
+        low, high = (float(np.median(own)) for own in shares)
+        both = f"{low:.0%} of BEFORE and {high:.0%} of AFTER are at a speed and voltage that both have"
+        if min(low, high) < LEAST_COMMON:
+            return f"too few loads in common: {both}; fly the same manoeuvres"
+        found.notes.append(both)
     return ""
 
 

@@ -23,7 +23,6 @@ import re
 import shutil
 import subprocess
 import sys
-import sysconfig
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -85,7 +84,6 @@ class Wireshark:
         self.plugin_folders = {named.get("Global Lua Plugins", plugins), plugins, self.config / "plugins"}
         self.name = "Wireshark " + ".".join(map(str, self.version))
         self.target, self.profile = plugins / "yapp", self.config / "profiles/YAPP"
-        self.note = self.config / "yapp_tables.path"  # one line, where yapp-tables is
 
 
 def source_folder() -> Path:
@@ -103,13 +101,8 @@ def plugin_version(path: Path) -> str:
     return found[1] if found else "unknown"
 
 
-def own_program() -> str:
-    """Return where the command yapp-tables of this Python is."""
-    return shutil.which("yapp-tables", path=sysconfig.get_path("scripts")) or os.path.abspath(sys.argv[0])
-
-
-def wanted_files(source: Path, wireshark: Wireshark, program: str | None) -> dict[Path, bytes]:
-    """Return {path: content} of an installation. program: yapp-tables, when that installs."""
+def wanted_files(source: Path, wireshark: Wireshark) -> dict[Path, bytes]:
+    """Return {path: content} of an installation."""
     files = {wireshark.target / name: (source / name).read_bytes() for name in ("yapp.lua", "taurus_fields.lua")}
     if (source / "yapp").is_dir():  # the repository: elsewhere the modules are in one file already
         sys.path.insert(0, str(source / "tools"))
@@ -120,8 +113,6 @@ def wanted_files(source: Path, wireshark: Wireshark, program: str | None) -> dic
             start = f'@"{sys.executable}" "%~dp0{path.name}" %*\r\n'
             files[wireshark.extcap / (path.stem + ".bat")] = start.encode(sys.getfilesystemencoding())
     files.update((wireshark.profile / path.name, path.read_bytes()) for path in sorted(source.glob("profiles/YAPP/*")))
-    if program or wireshark.note.is_file():
-        files[wireshark.note] = f"{program}\n".encode() if program else wireshark.note.read_bytes()
     return files
 
 
@@ -193,8 +184,8 @@ class Installation:
 
     def places(self) -> list[Path]:
         """Return the files and folders of ours that are there."""
-        outside = (*self.wireshark.extcap.glob("yapp_extcap.*"), *self.wireshark.config.glob("yapp_tables.path*"))
-        return list(filter(os.path.lexists, (*sorted(outside), self.profile, self.target)))
+        ports = sorted(self.wireshark.extcap.glob("yapp_extcap.*"))
+        return list(filter(os.path.lexists, (*ports, self.profile, self.target)))
 
     def uninstall(self, purge: bool) -> None:
         """Remove what is as it was installed, or all of it, and say what is gone and what is kept."""
@@ -289,8 +280,8 @@ def loading_problems(wireshark: Wireshark, tshark: str, entry: Path) -> Iterator
         yield "\n  ".join([f"{wireshark.name} does not load {entry}", *said[:5]])
 
 
-def run(what: str, purge: bool = False, program: str | None = None) -> int:
-    """Do one of install, check and uninstall; program: where yapp-tables is. Return the exit code."""
+def run(what: str, purge: bool = False) -> int:
+    """Do one of install, check and uninstall. Return the exit code."""
     found = []
     try:
         wireshark = Wireshark()
@@ -302,7 +293,7 @@ def run(what: str, purge: bool = False, program: str | None = None) -> int:
             source = source_folder()
             if what == "install":
                 refuse_to_install(source, wireshark)
-                Installation(wireshark).install(wanted_files(source, wireshark, program))
+                Installation(wireshark).install(wanted_files(source, wireshark))
                 for name in ("target", "extcap", "profile"):
                     say("plugin" if name == "target" else name, getattr(wireshark, name))
             found = list(problems(source, wireshark))

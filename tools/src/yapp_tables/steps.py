@@ -45,40 +45,32 @@ POINTS = (
 )
 
 
-def leads(found: Mapping[tuple[str, str], Samples]) -> list[Samples]:
-    """Return the messages that have a speed and its command, one for each controller."""
-    return [one for one in found.values() if one.speed() and len(one.times) > 10]
+def followed(found: Mapping[tuple[str, str], Samples]) -> Iterator[tuple[Samples, str, Array, Array]]:
+    """Yield each message with a speed: the name of the speed, and times and values of its command."""
+    for one in found.values():
+        pair = one.speed()
+        if pair and len(one.times) > 10:
+            when, told = command_of(found, one)
+            good = np.isfinite(told)
+            if good.any():
+                yield one, pair[0], when[good], told[good]
 
 
-def measured_names(one: Samples) -> tuple[list[str], list[str]]:
-    """Return the values whose means a point has, and those whose slopes."""
-    pair = one.speed()
-    means = [name for name in one.names("value", "A", "V", "W", "RPM") if not name.endswith(("_commanded", "_error"))]
-    if pair and pair[0] not in means:
-        means.append(pair[0])
-    return means, one.names("value", *DEGREES)
+def measured_names(one: Samples) -> list[str]:
+    """Return the values whose means a point has."""
+    return [name for name in one.measured("A", "V", "W", "RPM") if not name.endswith("_error")]
 
 
 def steps(found: Mapping[tuple[str, str], Samples]) -> Iterator[Record]:
     """Yield a record for each change of a command of LEAST_STEP of its range after which it held."""
-    for one in leads(found):
-        pair = one.speed()
-        assert pair
-        when, told = _known(*command_of(found, one))
-        if not len(told):
-            continue
+    for one, name, when, told in followed(found):
         size = LEAST_STEP * (told.max() - told.min())
         for at in np.flatnonzero(np.abs(np.diff(told)) > max(size, 1e-9)) + 1:
             change = told[at] - told[at - 1]
             moved = np.flatnonzero(np.abs(told[at:] - told[at]) > NEAR * abs(change))
             end = when[at + moved[0]] if len(moved) else when[-1]
             if end - when[at] >= HOLD:
-                yield _who(one, pair[0], when[at]) | _answer(one, pair[0], when[at], end, told[at - 1], told[at])
-
-
-def _known(when: Array, told: Array) -> tuple[Array, Array]:
-    good = np.isfinite(told)
-    return when[good], told[good]
+                yield _who(one, name, when[at]) | _answer(one, name, when[at], end, told[at - 1], told[at])
 
 
 def _who(one: Samples, field: str, time: float) -> Record:
@@ -136,23 +128,17 @@ def points(found: Mapping[tuple[str, str], Samples], bench: Mapping[str, Any] | 
 
     bench: {"controller", "times", "columns"} of a thrust stand, with the times of the capture.
     """
-    for one in leads(found):
-        pair = one.speed()
-        assert pair
-        when, told = _known(*command_of(found, one))
-        if not len(told):
-            continue
+    for one, speed, when, told in followed(found):
         largest = float(np.abs(told).max())
         for first, last in _holds(when, told, LEVEL * max(largest, 1e-9)):
             use = (one.times >= when[first] + SETTLED) & (one.times <= when[last])
             if use.sum() < 5:
                 continue
-            record = _who(one, pair[0], when[first]) | {"command": float(np.mean(told[first : last + 1]))}
+            record = _who(one, speed, when[first]) | {"command": float(np.mean(told[first : last + 1]))}
             record |= {"length": float(when[last] - when[first]), "messages": int(use.sum())}
-            means, slopes = measured_names(one)
-            for name in means:
+            for name in measured_names(one):
                 record[name] = _mean(one.columns[name][use])
-            for name in slopes:
+            for name in one.names("value", *DEGREES):
                 good = np.isfinite(one.columns[name][use])
                 if good.sum() > 4:
                     line = np.polyfit(one.times[use][good] / 60, one.columns[name][use][good], 1)
@@ -181,11 +167,10 @@ def _mean(values: Array) -> float | None:
 def point_columns(found: Mapping[tuple[str, str], Samples], bench: Sequence[str]) -> list[tuple[str, str, str, str]]:
     """Return the columns of points besides POINTS: (name, type, meaning, unit)."""
     columns: dict[str, tuple[str, str, str, str]] = {}
-    for one in leads(found):
-        means, slopes = measured_names(one)
-        for name in means:
-            columns[name] = name, "number", f"its mean: {one.about[name].get('title', name)}", one.unit_of(name)
-        for name in slopes:
-            unit, title = one.unit_of(name), one.title_of(name)
-            columns[f"{name}_slope"] = f"{name}_slope", "number", f"how fast it rose: {title}", f"{unit}/min"
+    for one, *_ in followed(found):
+        for name in measured_names(one):
+            columns[name] = name, "number", f"its mean: {one.title_of(name)}", one.unit_of(name)
+        for name in one.names("value", *DEGREES):
+            about = f"how fast it rose: {one.title_of(name)}", f"{one.unit_of(name)}/min"
+            columns[f"{name}_slope"] = f"{name}_slope", "number", *about
     return [*columns.values(), *((name, "number", "its mean, of the bench's log", "") for name in bench)]

@@ -105,16 +105,17 @@ class Tshark:
             records["check" if "rule" in record else "events" if "kind" in record else "summary"].append(record)
         return Export(described.parent, fields, records, partial, lacks, notes)
 
-    def ask(self, capture: Path, folder: str, statistics: Sequence[str]) -> tuple[list[Record], list[str]]:
-        """Return the JSON lines of statistics, and what the plugin says they leave out. tshark runs in folder.
+    def ask(self, capture: Path, folder: str, statistics: Sequence[str]) -> tuple[list[Record], list[str], str]:
+        """Return the JSON lines of statistics, what the plugin says they leave out, and the text of others.
 
-        Raises as export does, and CaptureError where only a part of the capture can be read.
+        tshark runs in folder. Raises as export does, and CaptureError where only a part of the capture can be read.
         """
         check_file(capture)
         done = _run(self._command(capture, statistics), Path(folder))
         if why := self._refusal(capture, done, written=True):
             raise CaptureError(f"{capture}: {why}")
-        return list(_json_lines(done.stdout)), list(_said(done)[0])
+        text = "".join(line for line in done.stdout.splitlines(keepends=True) if not line.startswith("{"))
+        return list(_json_lines(done.stdout)), list(_said(done)[0]), text
 
     def fields(self) -> Record:
         """Return fields.json of this plugin with these options. Asked with an empty capture: it proves both."""

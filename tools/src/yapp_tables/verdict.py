@@ -20,40 +20,34 @@ FEW = 3  # incidents of a kind that are told one by one
 SHARE = 0.8  # of a flight, and more, is throughout
 
 
-def causes(data: Record) -> list[Record]:
-    """Return {who, number, weight, said: [{text, begin, end, bad}]} of each controller, the worst first."""
-    found: dict[str, Record] = {}
+def causes(data: Record) -> dict[str, list[Record]]:
+    """Return what is said of each controller, the worst first: {label: [{text, begin, end, bad, weight}]}."""
+    said: list[Record] = []
 
     def add(row: Record, weight: float, text: str, begin: float, end: float | None, is_bad: bool) -> None:
-        one = found.setdefault(row["label"], {"who": row["label"], "number": row["number"], "weight": 0.0, "said": []})
-        one["weight"] = max(one["weight"], weight)
-        one["said"].append({"text": text, "begin": begin, "end": end, "bad": is_bad, "weight": weight})
+        about = {"who": row["label"], "weight": weight, "text": text}
+        said.append(about | {"begin": begin, "end": end, "bad": is_bad})
 
-    alike: dict[tuple[str, str], list[Record]] = {}
-    for row in data["incidents"]:
-        if row["is_serious"]:
-            alike.setdefault((row["label"], row["what"]), []).append(row)
-    for rows in alike.values():
-        row = rows[0]
-        weight = 100.0 if row["is_fault"] else 90.0 if "reboot" in row["kinds"] else 80.0
+    for rows in _groups([row for row in data["incidents"] if row["is_serious"]], "label", "what"):
+        weight = 100.0 if rows[0]["is_fault"] else 90.0 if "reboot" in rows[0]["kinds"] else 80.0
         if len(rows) > FEW:
-            add(row, weight, _often(rows, data["length"]), row["begin"], rows[-1]["until"], True)
+            add(rows[0], weight, _often(rows, data["length"]), rows[0]["begin"], rows[-1]["until"], True)
             continue
         for row in rows:
             add(row, weight, _incident(row, data), row["begin"], row["until"], True)
-    for rows in _by_controller(data["differs"]):
+    for rows in _groups(data["differs"], "label"):
         for weight, text, row in _differences(rows, data["length"]):
             add(row, weight, text, row["at"], row["end"], False)
-    for one in found.values():
-        one["said"].sort(key=lambda said: (-said["weight"], said["begin"]))
-    return sorted(found.values(), key=lambda one: -float(one["weight"]))
+    said.sort(key=lambda one: (-one["weight"], one["begin"]))
+    return {rows[0]["who"]: rows for rows in _groups(said, "who")}
 
 
-def _by_controller(rows: Iterable[Record]) -> Iterator[list[Record]]:
-    groups: dict[str, list[Record]] = {}
+def _groups(rows: Iterable[Record], *keys: str) -> list[list[Record]]:
+    """Return rows that have the same values of these keys together, in the order of the first ones."""
+    groups: dict[tuple[object, ...], list[Record]] = {}
     for row in rows:
-        groups.setdefault(row["label"], []).append(row)
-    yield from groups.values()
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return list(groups.values())
 
 
 def _often(rows: list[Record], whole: float) -> str:
@@ -129,8 +123,8 @@ def _differences(rows: list[Record], whole: float) -> Iterator[tuple[float, str,
     for row in rows:
         if row["kind"] == "sag":
             yield 55.0, row["text"], row
-        elif row["kind"] in ("follows", "absent"):
-            yield 20.0, row["text"] if row["kind"] == "absent" else f"{row['title']} {row['text']}", row
+        elif row["kind"] == "follows":
+            yield 20.0, f"{row['title']} {row['text']}", row
         elif row["kind"] == "surge" and not row["has_fault"]:
             text = f"{row['title']} {row['value']:.1f} {row['unit']}, {row['text']} for {row['end'] - row['at']:.3f} s"
             yield 45.0, f"{text} at {clock(row['at'])}", row
@@ -147,14 +141,9 @@ def _limit(row: Record, is_short: bool = False) -> str:
 
 def merged(differs: list[Record], controllers: int) -> list[Record]:
     """Return them with one row for what all controllers have at one time: the battery, if it is the supply."""
-    kept, groups = [], {}  # type: ignore[var-annotated]
-    for row in differs:
-        if row["kind"] == "limit":
-            groups.setdefault((row["field"], row["word"]), []).append(row)
-        else:
-            kept.append(row)
+    kept = [row for row in differs if row["kind"] != "limit"]
     sag = next((row for row in kept if row["kind"] == "sag"), None)
-    for rows in groups.values():
+    for rows in _groups([row for row in differs if row["kind"] == "limit"], "field", "word"):
         begin, end = min(row["at"] for row in rows), max(row["end"] for row in rows)
         who = {row["label"] for row in rows}
         if len(who) < max(3, 2 / 3 * controllers):
@@ -221,19 +210,19 @@ def head(data: Record) -> dict[str, str]:
         "/*ABOUT*/": told,
         "/*DOUBTS*/": html.escape(" · ".join(data["left_out"])),
         "/*VERDICT*/": f"<b class={'good' if word == 'GOOD' else 'bad'}>{word}</b>: {html.escape(text)}; {decoded}.",
-        "/*CAUSES*/": "".join(map(_cause, causes(data))),
+        "/*CAUSES*/": "".join(_cause(who, said) for who, said in causes(data).items()),
         "/*PHASES*/": html.escape(_phases(data)),
         "/*INCIDENTS*/": table(data),
         "/*BEGIN*/": utc(data["epoch"], 0),
     }
 
 
-def _cause(one: Record) -> str:
-    ends = [";"] * (len(one["said"]) - 1) + ["."]
-    said = " ".join(
-        f"<button type=button class='row {'bad' if each['bad'] else ''}' {_zoom(each['begin'], each['end'])}>"
-        f"{html.escape(each['text'])}{end}</button>" for each, end in zip(one["said"], ends, strict=True))  # fmt: skip
-    return f"<li><b>{html.escape(one['who'])}</b>: {said}</li>"
+def _cause(who: str, said: Sequence[Record]) -> str:
+    ends = [";"] * (len(said) - 1) + ["."]
+    buttons = " ".join(
+        f"<button type=button class='row {'bad' if one['bad'] else ''}' {_zoom(one['begin'], one['end'])}>"
+        f"{html.escape(one['text'])}{end}</button>" for one, end in zip(said, ends, strict=True))  # fmt: skip
+    return f"<li><b>{html.escape(who)}</b>: {buttons}</li>"
 
 
 def _phases(data: Record) -> str:
