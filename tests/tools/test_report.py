@@ -354,9 +354,9 @@ def test_what_nobody_saw_before_stands_in_the_page(make_capture, yapp_tables, tm
     try:
         rows = {row["cells"][0]: row["cells"] for row in incidents_of(browser)}
         assert rows["Motor overcurrent"][6] == f"Motor Data, {HELP}"
-        assert rows["undefined value: Motor mode 0x11"][6] == "2 times, Motor Data"
-        assert rows["undefined value: Motor mode 0x12"][6] == "Motor Data"
-        assert rows["bytes of no frame"][6] == "2 times, 12 bytes"
+        assert rows["undefined value: motor_mode 17"][6] == "2 times, Motor Data"
+        assert rows["undefined value: motor_mode 18"][6] == "Motor Data"
+        assert rows["bytes of no frame"][6] == "2 times"
         assert rows["bytes of no frame"][1] == "ttyUSB0"
         assert rows["never came"][1] == "aft (can0)"
         (row,) = rows_of(browser, "summary")

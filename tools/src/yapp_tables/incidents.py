@@ -81,7 +81,7 @@ def faults_in(events: pa.Table) -> int:
     """Return how many incidents of the events have a fault."""
     found = events_of(events, {}, 0)
     end = max((event["at"] for event in found), default=0.0)
-    rows = fault_rows({}, found, end) + other_rows({}, found)
+    rows = fault_rows({}, found, end) + other_rows(found)
     return sum(incident["is_fault"] for incident in joined(rows))
 
 
@@ -106,7 +106,7 @@ def excused(events: list[Record], names: Mapping[tuple[str | None, int], str]) -
 def _row(event: Record, what: str, **more: object) -> Record:
     at = event["at"]
     about = {"what": what, "source": event["who"], "message": event["title"], "begin": at, "end": at, "at": [at]}
-    return event | about | {"length": None, "count": 1, "bytes": None} | more
+    return event | about | {"length": None, "count": 1} | more
 
 
 def fault_rows(messages: Messages, events: list[Record], end: float) -> list[Record]:
@@ -131,7 +131,7 @@ def fault_rows(messages: Messages, events: list[Record], end: float) -> list[Rec
     return rows
 
 
-def other_rows(messages: Messages, events: list[Record]) -> list[Record]:
+def other_rows(events: list[Record]) -> list[Record]:
     """Reboots, silences and the like one by one; what may come often as one row for each source and message."""
     rows: dict[tuple[str, ...], Record] = {}
     for number, event in enumerate(events):
@@ -144,7 +144,7 @@ def other_rows(messages: Messages, events: list[Record]) -> list[Record]:
         if kind == "bus":
             what = f"bus {str(event['what']).replace('_', ' ')}"
         if kind == "invalid":
-            what = f"{what}: {_value(messages, event)}"
+            what = f"{what}: {event['field']} {event['value']}"
         key = (kind, event["who"], event["title"], what) if kind not in SINGLE else (str(number),)
         row = rows.setdefault(key, _row(event, what, count=0, at=[]))
         row["count"] += event["count"] or 1
@@ -154,17 +154,7 @@ def other_rows(messages: Messages, events: list[Record]) -> list[Record]:
             row["end"], row["length"] = event["at"] + length, length
         if kind == "disabled" and event["length"] is None:
             row["end"] = None
-        if kind == "skipped":
-            row["bytes"] = (row["bytes"] or 0) + int(length)
     return list(rows.values())
-
-
-def _value(messages: Messages, event: Record) -> str:
-    """What a field had that the catalogue does not define: "Key 0x11"."""
-    message = messages.get(event["message"])
-    column = message.columns.get(event["field"]) if message else None
-    value = event["value"] or ""
-    return f"{column.title if column else event['field']} {int(value):#x}" if value.isdigit() else value
 
 
 def filter_of(rows: list[Record], first: int, last: int) -> str:

@@ -170,7 +170,7 @@ class Report:
             flags = (flag_of(flight.messages, event) for event in events if event["message"] == message.name)
             own = [one for one in found.values() if one.message == message.name]
             self.pictures.add(own, {flag.name for flag in flags if flag}, windows)
-        rows = fault_rows(flight.messages, events, self.end) + other_rows(flight.messages, events)
+        rows = fault_rows(flight.messages, events, self.end) + other_rows(events)
         self._frames(rows)
         self._stopped(rows)
         return rows

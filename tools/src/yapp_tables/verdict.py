@@ -272,8 +272,7 @@ def _line(data: Record, kind: str, row: Record, end: float | None, details: str)
 
 def _details(row: Record) -> str:
     count = f"{row['count']} times" if row["count"] > 1 else ""
-    size = f"{row['bytes']} bytes" if row["bytes"] else ""
-    return html.escape(", ".join(text for text in (count, size, row["message"], row["help"]) if text))
+    return html.escape(", ".join(text for text in (count, row["message"], row["help"]) if text))
 
 
 def _zoom(begin: float, end: float | None) -> str:
