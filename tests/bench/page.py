@@ -59,7 +59,7 @@ def motor_data(hours, controllers):
                          strict=True))
         columns = {"time": pa.array(START + (times * 1e9).astype(np.int64)).cast(pa.timestamp("ns", tz="UTC"))}
         columns |= {"bus": pa.array([f"can{number % 2}"] * count), "source": pa.nulls(count, pa.string())}
-        columns |= {"id": pa.array(np.full(count, 0x210 + number // 2, np.uint32))}
+        columns |= {"id": pa.array(np.full(count, 0x210 + number // 2, np.uint32)), "frame": np.arange(count), "timestamp": times}
         size = {"RPM": 120_000 / 65530, "°C": 1.0}
         columns |= {name: np.round(own / size.get(FIELDS[name], step)) * size.get(FIELDS[name], step) for name, own in found.items()}
         parts.append(pa.table(columns))
@@ -73,7 +73,10 @@ def flight(hours, controllers):
     made.name, made.begin, made.left_out, made.plugin, made.catalogue = "long.pcapng", START, [], "", ""
     made.messages = {"motor": Message("motor", "Motor Data", 0.1, columns)}
     made.events = made.summary = pa.table({name: pa.array([], pa.int64()) for name in ("id", "time", "message")})
-    made._titles, made._tables = {"motor": "Motor Data"}, {"motor": motor_data(hours, controllers)}
+    table = motor_data(hours, controllers)
+    fields = [columns[field.name].arrow() if field.name in columns else field for field in table.schema]
+    about = {"title": "Motor Data", "every": "0.1"}
+    made._titles, made._tables = {"motor": "Motor Data"}, {"motor": table.cast(pa.schema(fields, metadata=about))}
     return made
 
 

@@ -13,7 +13,6 @@ import pandas as pd
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
-import yapp_tables as yt
 from running import FAKE, motor_row, result
 from yapp_tables import cli
 from yapp_tables.cli import EXAMPLES
@@ -168,15 +167,3 @@ def test_help_has_two_examples_that_can_be_parsed(command, capsys):
 def test_version(yapp_tables):
     done = yapp_tables("--version")
     assert done.stdout.startswith("yapp-tables ")
-
-
-@pytest.mark.parametrize("own", [None, "glibc.malloc.check=1"])
-def test_tshark_has_large_pages_unless_the_user_tunes_it(make_capture, tmp_path, monkeypatch, own):
-    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
-    if own:
-        monkeypatch.setenv("GLIBC_TUNABLES", own)
-    program = tmp_path / "tshark"
-    program.write_text(f'#!/bin/sh\necho "$GLIBC_TUNABLES" > {tmp_path}/seen\nexec {FAKE} "$@"\n')
-    program.chmod(0o755)
-    yt.read(make_capture("flight.pcapng", motor=[motor_row(0)]), tshark=program)
-    assert (tmp_path / "seen").read_text().strip() == (own or "glibc.malloc.hugetlb=1")

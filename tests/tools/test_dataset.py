@@ -6,7 +6,6 @@ import os
 import shlex
 import shutil
 import signal
-import subprocess
 
 import duckdb
 import pandas as pd
@@ -186,17 +185,6 @@ def test_convert_one_is_what_a_scheduler_calls(make_capture, tmp_path):
     assert len(motor(tmp_path)) == 3
     missing = yt.convert_one(tmp_path / "none.pcapng", config)
     assert (missing.failure, missing.flight_id) == ("no such file", "")
-
-
-def test_nothing_silences_logging(make_capture, tmp_path):
-    flight(make_capture, "a.pcapng")
-    code = (
-        "import logging, yapp_tables as yt\n"
-        f"yt.convert('a.pcapng', 'out', tshark={str(FAKE)!r})\n"
-        "logging.getLogger('distributed').warning('heard')"
-    )
-    done = subprocess.run([os.sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert "heard" in done.stderr
 
 
 def test_names_of_controllers(make_capture):

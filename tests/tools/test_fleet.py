@@ -15,7 +15,6 @@ import time
 
 import pyarrow.parquet as pq
 import pytest
-import yapp_tables as yt
 from distributed import LocalCluster
 from running import FAKE, killing, motor_row, run_tables, started, wait_for_results
 from yapp_tables.cli import main
@@ -107,20 +106,6 @@ def test_a_scheduler_that_dies_is_a_sentence_and_what_was_done_is_kept(fleet):
     assert "Traceback" not in done.stderr
     assert convert(fleet).returncode == 0
     assert_complete(fleet, is_clean=False)
-
-
-def test_a_machine_with_another_plugin_fails_its_captures_only(make_capture, tmp_path, monkeypatch):
-    for number in range(4):
-        make_capture(f"{number}.pcapng", motor=[motor_row(number)])
-
-    def here_or_there(capture, config, made):
-        if capture.name == "3.pcapng":
-            raise yt.SetupError("another plugin")
-        return yt.convert_one(capture, config, made)
-
-    monkeypatch.setattr(sys.modules["yapp_tables.convert"], "convert_one", here_or_there)
-    results = yt.convert(f"{tmp_path}/*.pcapng", tmp_path / "data", tshark=FAKE)
-    assert [result.failure for result in results if result.failure] == ["another plugin"]
 
 
 def test_no_scheduler_is_a_sentence(make_capture, tmp_path, monkeypatch, capsys):

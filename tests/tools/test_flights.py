@@ -176,11 +176,3 @@ def test_what_tshark_refuses_is_said_in_one_sentence(flight, tmp_path, arguments
     assert sentence in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "data").exists()
-
-
-def test_what_is_no_capture(flight, tmp_path):
-    (tmp_path / "text.pcap").write_text("This is no capture, whatever its name says.\n" * 9)
-    with pytest.raises(yt.CaptureError, match="isn't a capture file"):
-        yt.read(tmp_path / "text.pcap", plugin=PLUGIN)
-    with pytest.raises(yt.SetupError, match="no YAPP plugin"):
-        yt.read(flight[0])
