@@ -401,8 +401,7 @@ function T.test_numbers_of_64_bits()
   lu.assertStrContains(run({ "summary,json" }, since_1970, with), '"mean":1700000000000000,')
 end
 
--- Of counts that are numbers in proportion, the sum is one of counts: reserved values and signs count
--- as ever, and what falls as its count grows has its least value at the largest count.
+-- What falls as its count grows has its least value at the largest count.
 function T.test_means_of_counts()
   local catalogue = catalogue_of.compile { { name = "m", title = "M", id = 2, size = 6,
     { "real", "float8", "Real", min = -125, max = 125 },

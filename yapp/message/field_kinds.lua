@@ -80,13 +80,6 @@ function M.is_number(field)
   return M.BY_NAME[field.kind].is_number and not field.values
 end
 
---- Return the highest raw value that is a number, of a field whose raw values are counts and whose
--- numbers grow in proportion to them: so that a mean of raw values gives the mean.  Nil for others.
-function M.linear_top(field)
-  local is_linear = field.top and field.size <= 6 and (field.scale or 1) > 0
-  return is_linear and (field.ordinary or field.top) or nil
-end
-
 -- The kinds --------------------------------------------------------------------------------------
 
 local function read_integer(field, payload)

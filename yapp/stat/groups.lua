@@ -20,7 +20,6 @@ function M.round(field, value)
   local shape = field.shape
   return shape and tonumber(shape:format(value)) or value -- NaN stays
 end
-local round = M.round
 
 --- Return a number without noise: 10, not 9.9999999999999982.
 function M.clean(value)
@@ -118,9 +117,7 @@ function Groups:new_values(message_type)
     local spread = self.compares and self.spreads[field]
     local values = {
       field = field,
-      -- The highest raw value that is a number, where raw values are gathered: see add_values.
-      ordinary = not spread and field_kinds.linear_top(field) or false,
-      count = 0, -- of numbers, whose least, sum and largest follow, or those of raw values
+      count = 0, -- of numbers, whose least, sum and largest follow
       min = INFINITE,
       sum = 0.0,
       max = -INFINITE,
@@ -141,12 +138,8 @@ end
 function Groups.add_values(list, event, longest)
   local raws = event.raws
   for _, values in ipairs(list) do
-    -- Where numbers grow with raw values, M.row works out the numbers of the least, the sum and the
-    -- largest of these: this halves the time of a summary's values.
-    local field, ordinary = values.field, values.ordinary
-    local value = ordinary and raws[field.index]
-    if not ordinary then value = M.number_in(field, raws) end
-    if value and value <= (ordinary or INFINITE) then -- no NaN
+    local value = M.number_in(values.field, raws)
+    if value == value then -- no NaN
       values.count, values.sum = values.count + 1, values.sum + value
       if value < values.min then values.min = value end
       if value > values.max then values.max = value end
@@ -226,11 +219,8 @@ function M.row(group, values)
   local field, count = values.field, values.count
   local row = output.row(group.source, { field = field.name, unit = field.unit, count = count })
   if count == 0 then return row end
-  local min, mean, max = values.min, values.sum / count, values.max
-  if values.ordinary then
-    min, mean, max = number_of(field, min), number_of(field, mean), number_of(field, max)
-  end
-  row.min, row.mean, row.max = round(field, min), mean, round(field, max)
+  row.min, row.max = M.round(field, values.min), M.round(field, values.max)
+  row.mean = values.sum / count
   return row
 end
 
