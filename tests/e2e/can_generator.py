@@ -509,3 +509,13 @@ def write(path, frames, layout):
             before = head(frame) if head else b""
             record = before + frame.record(little=head is not None)
             file.write(pcap_packet(number, record, _captured(frame, record, len(before))))
+
+
+def write_behind_ip(path, count, frames):
+    """Writes frames as Linux cooked v2, behind so many packets of IP."""
+    ip = struct.pack(">HHIHBB8x", 0x0800, 0, 2, 1, 0, 6) + bytes(20)
+    records = [ip] * count + [sll2_head(frame) + frame.record(little=True) for frame in frames]
+    with open(path, "wb") as file:
+        file.write(pcap_head(LINKTYPE_SLL2))
+        for number, record in enumerate(records):
+            file.write(pcap_packet(number, record, len(record)))
