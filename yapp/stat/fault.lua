@@ -198,7 +198,6 @@ local function add_change(rows, card, messages, field, find, flag)
   if not index then return end
   local event, to = messages[index], values[index]
   insert(rows, new_row(card, event, {
-    event = event,
     message = event.source.type.name,
     field = field.name,
     flag = flag and flag.name,
@@ -293,7 +292,7 @@ local function add_sources(rows, card)
       insert(rows.others, message_row(card, latest))
     end
   end
-  output.sort(rows.changes, function(row) return row.event.time, -row.size end)
+  output.sort(rows.changes, function(row) return row.frame, -row.size end)
 end
 
 -- Return the rows of the sections, by key.
@@ -301,16 +300,15 @@ local function find_rows(self, card, ending)
   local rows, cause = {}, card.cause
   for _, section in ipairs(SECTIONS) do rows[section[1]] = {} end
   add_sources(rows, card)
-  for i, event in ipairs(card.flags) do
-    local values = event.values
-    local row = { field = values.field, flag = values.flag, help = values.help }
-    rows.flags[i] = new_row(card, event, row)
+  local function event_row(event)
+    return new_row(card, event, lists.event_row(self.context, event, ending))
   end
+  for i, event in ipairs(card.flags) do rows.flags[i] = event_row(event) end
   for _, event in ipairs(card.events) do
     if is_message(event) then
       if event.source == cause.source then insert(rows.messages, message_row(card, event)) end
     elseif kinds.is_near(event, cause.time) and event.values.incident ~= card.incident then
-      insert(rows.events, new_row(card, event, lists.event_row(self.context, event, ending)))
+      insert(rows.events, event_row(event))
     end
   end
   while #rows.messages > BEFORE + 1 + card.behind do table.remove(rows.messages, 1) end
@@ -329,9 +327,9 @@ local function card_row(self, card, rows, lacks_times)
     frame = cause.frame,
   })
   for _, section in ipairs(SECTIONS) do
-    local objects = {}
+    local objects, keys = {}, section.columns.json
     for i, one in ipairs(rows[section[1]]) do
-      objects[i] = output.object(one.keys or section.columns.json, one)
+      objects[i] = output.object(keys[1] and keys or one.keys, one)
     end
     row[section[1]] = output.list(objects)
   end
