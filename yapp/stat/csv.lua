@@ -13,12 +13,11 @@ local text_of = require "yapp.message.text"
 
 local M = {}
 
-local COLUMNS = output.columns {
+--- The columns of its own output, see output.columns.
+M.COLUMNS = output.columns {
   { "file", "text", "the path of a table" },
   { "rows", "integer", "how many rows it has" },
 }
---- The columns of its own output, see output.columns.
-M.COLUMNS = COLUMNS
 -- The columns in front of a message's own.
 local COMMON = {
   { name = "time", type = "time", unit = "s" },
@@ -119,7 +118,7 @@ function Csv:finish(_, notes)
     local written = self.tables[message_type]
     rows[i] = { file = written.file.path, rows = written.rows }
   end
-  output.print(context, "YAPP csv: " .. output.count(#rows, "table"), COLUMNS, rows, notes)
+  output.print(context, "YAPP csv: " .. output.count(#rows, "table"), M.COLUMNS, rows, notes)
 end
 
 return M

@@ -62,11 +62,11 @@ local VALUES = output.columns {
   { "id", where = "text" },
   { "source", where = "text" },
   { "message", where = "text" },
-  { "field", where = "text window" },
-  { "unit", where = "text window" },
-  { "min", where = "text window" },
-  { "mean", where = "text window" },
-  { "max", where = "text window" },
+  { "field" },
+  { "unit" },
+  { "min" },
+  { "mean" },
+  { "max" },
   { "count", where = "text" },
 }
 

@@ -99,9 +99,9 @@ local function open_window(title, make, stat)
   local window, content, frames = TextWindow.new("YAPP " .. title), nil, nil
   local total = math.huge -- of the reading; so many while it goes on, or if its text is old
   local seconds = 0 -- that it took
-  local is_closed = false -- a closed window takes no text; the reading may go on without it
+  -- A closed window takes no text; the reading may go on without it.
   local function set_text(text)
-    if not is_closed then window:set(text) end
+    if on_packets_of[window] then window:set(text) end
   end
   local function on_progress(number)
     set_text(READING:format(number, stat.total))
@@ -126,7 +126,7 @@ local function open_window(title, make, stat)
     set_text(OLD .. content)
   end
   window:set_atclose(function()
-    is_closed, on_packets_of[window] = true, nil
+    on_packets_of[window] = nil
   end)
   window:add_button("Refresh", refresh_by_hand)
   window:add_button("Copy", function() copy_to_clipboard(content) end)
