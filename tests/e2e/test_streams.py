@@ -477,12 +477,8 @@ def test_cut_segments_of_others(folder):
 # Captures that showed a defect of 2.1.0, and what they must show: IDs by packet (few of them: all others have one of Motor
 # Data), the exit code of check, and what it says.
 SHOWN = {
-    "t1_tcp_retransmission.pcap": (30, {}, 0, []),
     "t3_tcp_out_of_order_fault.pcap": (200, {103: [], 104: [0x210] * 2}, 20, [("fault", 1)]),
     "t4_tcp_segment_missing.pcap": (199, {}, 20, [("dropped", 1)]),
-    "s1_nested.pcap": (3, {1: [0x210], 2: [0x123], 3: [0x210]}, 20, [("unknown", 1)]),
-    "s1_nested_udp.pcap": (2, {1: [0x210], 2: [0x123]}, 20, [("unknown", 1)]),
-    "g8_udp_first_bad.pcap": (200, {1: [0x210], 2: [0x210], 3: [0x210]}, 20, [("crc", 3)]),
 }
 
 
