@@ -20,6 +20,12 @@ function T.test_plain_logs_are_left_to_the_builtin_reader()
   end
 end
 
+function T.test_a_log_whose_first_line_lost_its_start_opens()
+  for _, rest in ipairs { "00.000001) can0 08404000#BBBE6FC720000000\n", "6FC7 R\n" } do
+    lu.assertNotNil((opened(rest .. HEAD .. HEAD)), rest)
+  end
+end
+
 -- One line each that the built-in reader of some version gets wrong.
 local DEVIATIONS = {
   "", " ", "# remark", "(1.000000) can1 123#11", "(1.000000)  can0 123#11", "(1.000000) can0 123#11 ",

@@ -51,6 +51,10 @@ PARTS["\40\181\47\253"] = function(file)
   skip(file, has_sum and 4 or 0)
 end
 
+for kind = 0x50, 0x5F do -- frames without data, as pzstd writes them
+  PARTS[string.char(kind) .. "\42\77\24"] = function(file) skip(file, number(file, 4)) end
+end
+
 -- A frame of lz4: behind its blocks is a size of 0.
 PARTS["\4\34\77\24"] = function(file)
   local flags = number(file, 1)

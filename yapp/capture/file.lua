@@ -216,7 +216,8 @@ local function read_interface(self, window, offset, length)
   local options = read_options(window, offset + 16, offset + length - 4)
   local name = (options[2] or ""):match("^[^\0]+")
   local interface = add_interface(self, window:number(offset + 8, 2), name)
-  interface.per_second = 10 ^ byte(options[9] or "\6") -- if_tsresol
+  local exponent = byte(options[9] or "\6") -- if_tsresol
+  interface.per_second = exponent < 128 and 10 ^ exponent or 2 ^ (exponent - 128)
   interface.shift = window:value(options[14] or "") -- if_tsoffset
 end
 
@@ -323,7 +324,7 @@ end
 
 local function read_pcap(self, window, is_little, fractions)
   window.is_little = is_little
-  local linktype = window:number(20, 4)
+  local linktype = window:number(20, 4) % 0x10000 -- above it: the length of check sequences
   local interface, offset = add_interface(self, linktype), 24
   self.keeps = linktype == COOKED_2 or linktype == RTAC -- packets of others have no flags
   self.has_one_bus = not self.keeps

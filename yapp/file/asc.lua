@@ -122,7 +122,7 @@ local FORMS = {
   { --  0.001000 1  8408000x        Rx   d 8 FD 7F FD 7F FD 7F FD 7F
     pattern = "^(%d%d?%d?)%s+(%w+)%s+([RrTt])[Xx]%s+(.*)$",
     read = read_classic,
-    like = "^%s*%x+x?%s+[rt]x%f[^%a]", -- its time is lost
+    like = "%f[%a][rt]x%s+[dr]%f[%A]",
     needs_time = true,
   },
   { --  0.002000 CANFD   1 Rx   840C000x                          1 0 d 32 FD 7F ...

@@ -216,9 +216,10 @@ M.FORMAT = {
 }
 
 -- Return whether the lines of a head are candump's.  Another first line may be another format's
--- mark, unless it is a shell's.
+-- mark, unless it is a shell's or the end of a line of data.
 local function is_candump(log)
-  local may_begin = log.before == "" or log.before:find("candump ", 1, true)
+  local may_begin = log.before == "" or log.before:find("candump ", 1, true) or
+    log.before:find("^[^\n]*%x%x%s*[RT]?%s*$")
   return may_begin and log.records[1] and #log.records >= log.others
 end
 
