@@ -66,15 +66,15 @@ def test_trc(folder):
 
 @has_python_can
 def test_csv_that_lost_its_buses(folder):
-    """Messages of two controllers with the same ID interleave: each is put together.  Their clocks are equal to the
-    nanosecond, so a clock that stood still says it; those of real controllers alternate, which is "shared"."""
+    """Messages of two controllers with the same ID interleave: each is put together, and that is said, although the clocks of
+    both are equal to the nanosecond."""
     shutil.copy(CASES / "c06_pythoncan.csv", folder / "run.csv")
     run(folder, commands("TRC, MF4 and python-can's CSV")[0].splitlines()[2])
     columns = ["taurus.motor.timestamp", "taurus.motor.fault_flags"]
     wanted = sorted(row for row in tshark.fields(CASES / "c06_two_buses_truth.log", columns) if row[0])
     assert sorted(row for row in tshark.fields(folder / "run.log", columns) if row[0]) == wanted and len(wanted) == 24
     kinds = {event["kind"] for event in events(folder / "run.log")}
-    assert "stale" in kinds and not kinds & {"incomplete", "crc", "unfinished"}
+    assert "shared" in kinds and not kinds & {"incomplete", "crc", "unfinished"}
 
 
 def test_any_csv(folder):

@@ -113,14 +113,16 @@ end
 -- alternate:
 --   100.0, 7.2, 100.1, 7.3      it falls by 92.8, returns to where it would be, falls: proved
 --   100.0, 99.8, 100.1, 99.9    small falls: a late message makes one, so a third one proves it
+--   100.0, 100.0, 100.1, 100.1  the same clock again within a third of a period is a large fall
 -- After a reboot, the clock does not return.
 -- advance, elapsed  seconds of the controller's and of the capture's clock since source.clock
 local function is_shared(source, advance, elapsed)
   local before, falls = source.lead, source.falls
   local lead = before + advance - elapsed
   source.lead, source.evidence = lead, source.evidence * FADE
-  if advance < 0 then
-    insert(falls, 1, { lead = before, size = before - lead })
+  local is_again = advance == 0 and elapsed < source.period / 3
+  if advance < 0 or is_again then
+    insert(falls, 1, { lead = before, size = is_again and LARGE_FALL or before - lead })
     falls[5] = nil -- up to four controllers fall from one to the next before they return
     return source.evidence > ENOUGH
   end
@@ -146,7 +148,7 @@ local function clock_change(source, time, clock)
   local elapsed = elapsed_since(source, time, advance)
   -- If both go back alike, the packets are not in the order of time.
   if advance < 0 and advance >= 1.25 * elapsed then return nil end
-  local may_be_shared = advance < 0 or source.lead ~= 0
+  local may_be_shared = advance <= 0 or source.lead ~= 0
   if may_be_shared and is_shared(source, advance, math.max(elapsed, 0)) then
     return "shared", true
   end
