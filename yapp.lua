@@ -251,9 +251,13 @@ local function make_statistics()
   }
 end
 
--- Begin the statistic of an argument of -z.
+-- Begin the statistic of an argument of -z.  Wireshark swallows an error here and ends with 0.
 local function begin_statistic(text)
-  make_statistics()
+  local ok, why = pcall(make_statistics)
+  if not ok then
+    io.stderr:write("yapp: cannot load the plugin: ", why, "; install it again\n")
+    os.exit(21) -- as stat.output, which may not load
+  end
   stat:begin(text)
 end
 

@@ -42,11 +42,10 @@ MODEL = """\
 """
 RULE = """\
   {
-    name = "most",
-    text = "MESSAGE.most=N",
-    help = "at most N messages came",
+    "most",
+    "MESSAGE.most=N",
+    "at most N messages came",
     measure = function(group) return group.count, group.last and group.last.frame end,
-    bound = "high",
     is_count = true,
   },
 """
@@ -98,7 +97,7 @@ CHANGES = [
      battery, ["-q", "-z", "yapp,faults"], 0, r"Battery +alarms +hot +raised"),
     ("a value from two fields", [("taurus_fields.lua", "derived = {", '\n      { "heat", "motor_temperature - esc_temperature", "Heat", unit = "K" },\n     ')],
      can, ["-O", "taurus"], 0, r"Heat: "),
-    ("a rule", [("yapp/stat/rules.lua", "M.OF_MESSAGE = {\n", RULE)],
+    ("a rule", [("yapp/stat/rules.lua", "M.OF_MESSAGE = input.rows(\"name text help\", {\n", RULE)],
      can, ["-q", "-z", "yapp,check,motor.most=0"], 20, r"FAILED +motor.most=0"),
     ("a column", [("yapp/stat/lists.lua", "what the catalogue says of the flag\", where = \"json\" },\n",
                    '  { "minute", "integer", "minutes since the first packet", where = "json" },\n'),

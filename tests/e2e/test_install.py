@@ -146,3 +146,11 @@ def test_any_folder_name(folder, name):
         path.chmod(0o755 if path.is_dir() else 0o644)
     done = tshark.run(*script(plugin), "-r", CAPTURE, plugin=False)
     assert "Motor Data" in done.stdout
+
+
+@pytest.mark.parametrize("module", ["can/reassembly", "stat/check"])
+def test_a_statistic_of_a_broken_plugin_ends_with_21(home, module):
+    clone = tshark.copy_plugin(home / "clone", tshark.ROOT)
+    (clone / f"yapp/{module}.lua").write_text("local x = = 1\n")
+    done = tshark.run(*script(clone), "-q", "-r", CAPTURE, "-z", "yapp,check", plugin=False, env={"HOME": str(home)}, check=False)
+    assert done.returncode == 21 and "cannot load" in done.stderr and module in done.stderr
