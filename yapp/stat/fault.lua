@@ -18,13 +18,16 @@ local M = {}
 local insert, abs = table.insert, math.abs
 local KINDS, unpack = field_kinds.BY_NAME, rawget(table, "unpack")
 
-local BEFORE_FAULT = 10 -- seconds; their first half tells what is usual
--- A value left its range if it is so many usual spreads from the usual value.
+local BEFORE_FAULT = 10 -- seconds, which tell what is usual
+-- A value left its range if it is so many usual spreads from the median of the values before it.
 local FACTOR = 4
-local NORMAL = 1.48 -- times the median distance is the standard deviation of noise
-local MIN_VALUES = 5 -- in the first half
-local FEW = 10 -- values: from so many, the spread is only half as sure
+local WINDOW, MIN_VALUES = 10, 5 -- of the values before it
+-- The usual spread comes of the calm third of the ten seconds: a third of the distances are less
+-- than this part of the standard deviation of usual noise.
+local CALM = 0.43
+local FEW = 5 -- values: from so many, the spread is only half as sure
 local ALONE = 1.5 -- the last value, which no other confirms, must be so much farther
+local ENOUGH = 0.8 -- of the largest distance: the way back from it is as large
 local BEFORE, BEHIND = 10, 5 -- messages
 local MISSING = "there is no such fault: the capture has %d"
 
@@ -144,21 +147,40 @@ end
 
 -- What changed ------------------------------------------------------------------------------------
 
--- Return the index of the first value that left its range, with the next one or as the last one;
--- the usual value and the usual spread.  Nil if none did.
-local function find_departure(values, field)
-  local half, distances = math.floor(#values / 2), {}
-  if half < MIN_VALUES then return end
-  local middle = groups.median { unpack(values, 1, half) }
-  for i, value in ipairs(values) do distances[i] = value == middle and 0 or abs(value - middle) end
+-- Return the distance of each value from the median of those before it, that median, and the usual
+-- spread of a field.
+local function find_distances(values, field)
   local step = field.min and (field.max - field.min) / field.ordinary or field.scale or 0
-  local noise = NORMAL * groups.median { unpack(distances, 1, half) }
-  local spread = math.max(step, noise * (1 + FEW / half))
-  for i = half + 1, #values do
-    if math.min(distances[i], distances[i + 1] or distances[i] / ALONE) > FACTOR * spread then
+  local distances, middles, calm = {}, {}, {}
+  for i, value in ipairs(values) do
+    distances[i], middles[i] = 0, value
+    if i > MIN_VALUES then
+      middles[i] = groups.median { unpack(values, math.max(1, i - WINDOW), i - 1) }
+      if value ~= middles[i] then distances[i] = abs(value - middles[i]) end
+      insert(calm, distances[i])
+    end
+  end
+  table.sort(calm)
+  local usual = (calm[math.ceil(#calm / 3)] or 0) / CALM
+  return distances, middles, math.max(step, usual + usual * FEW / math.max(1, #calm))
+end
+
+-- Return the index of the value that left its range, with the next one or as the last one; the
+-- usual value and the usual spread.  Nil if none did.
+local function find_departure(values, field)
+  local distances, middles, spread = find_distances(values, field)
+  local limit, sizes, largest = FACTOR * spread, {}, 0
+  for i, distance in ipairs(distances) do
+    local is_last = i == #distances
+    sizes[i] = math.min(distance, is_last and distance / ALONE or distances[i + 1])
+    if sizes[i] > limit and not is_last then largest = math.max(largest, sizes[i]) end
+  end
+  -- What changes with the fault itself matters only if nothing did before.
+  for i, size in ipairs(sizes) do
+    if size > limit and size >= ENOUGH * largest then
       local first = i
-      while distances[first - 1] > FACTOR * spread do first = first - 1 end -- ends in the half
-      return first, middle, spread
+      while distances[first - 1] > limit do first = first - 1 end -- the first distance is 0
+      return first, middles[first], spread
     end
   end
 end
