@@ -127,8 +127,8 @@ class Wireshark:
         inside it time."""
         def found():
             assert self.wireshark.poll() is None, f"Wireshark ended: {self.stderr()}"
-            return next((window for window, title in self.windows().items()
-                         if (title == part if whole else part in title)), None)
+            titles = {window: title for window, title in self.windows().items() if (title == part if whole else part in title)}
+            return min(titles, key=lambda window: len(titles[window]), default=None)  # YAPP Fault, not YAPP Faults
         try:
             window = wait_for(found)
         except AssertionError as error:

@@ -148,7 +148,7 @@ function T.test_values_that_are_not_defined()
   local source, payload = { id = 1, type = own.messages[1] }, "\10\3\254\0\0\0\128\255"
   report_message(events, message { source = source, of = own.messages[1], payload = payload })
   lu.assertEquals(list[1].values.invalid, {
-    { field = "key", value = 10, code = "0x0a", effect = " (the controller ignores this command)" },
+    { field = "key", value = 10, code = "0x0a", effect = ", so it was ignored" },
     { field = "bits", value = 3, code = "0x03", effect = false },
     { field = "gear", value = -2, code = "-2", effect = false }, -- in Lua 5.2 "%x" takes no negative number
     { field = "deep", value = -2 ^ 31, code = "-2147483648", effect = false } })

@@ -48,7 +48,7 @@ local function invalid_of(message)
         field = field.name,
         value = raw,
         code = shape:format(raw),
-        effect = expert == "command.key.invalid" and " (the controller ignores this command)",
+        effect = expert == "command.key.invalid" and ", so it was ignored",
       }
     end
   end
