@@ -63,14 +63,14 @@ class Tshark:
             self.prefix = ["chroot", str(root), "setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
         else:
             self.prefix = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"] if os.geteuid() == 0 else []
-        self.folder = pathlib.Path("/tmp/yapp-bench") if root else folder
+        self.folder, self.here = pathlib.Path("/tmp/yapp-bench") if root else folder, folder  # seen by tshark, and by the script
         says = subprocess.run([*self.prefix, "tshark", "--version"], capture_output=True, text=True, check=True).stdout
         self.version = re.search(r"\(Wireshark\) ([\d.]*\d)", says)[1]
 
     def command(self, work, peer):
         """The command line of a peer."""
         if peer == "script":
-            return ["/usr/bin/python3", HERE / "peer.py", self.folder / "yapp.log", self.folder / "script.csv"]
+            return ["/usr/bin/python3", HERE / "peer.py", self.here / "yapp.log", self.here / "script.csv"]
         capture, options, script = work.capture, work.options, []
         if peer == "list":
             capture = "yapp.pcap"
