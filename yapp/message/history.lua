@@ -120,9 +120,9 @@ local function is_shared(source, advance, elapsed)
   local before, falls = source.lead, source.falls
   local lead = before + advance - elapsed
   source.lead, source.evidence = lead, source.evidence * FADE
-  local is_again = advance == 0 and elapsed < source.period / 3
-  if advance < 0 or is_again then
-    insert(falls, 1, { lead = before, size = is_again and LARGE_FALL or before - lead })
+  local is_equal = advance == 0 and elapsed < source.period / 3
+  if advance < 0 or is_equal then
+    insert(falls, 1, { lead = before, size = is_equal and LARGE_FALL or before - lead })
     falls[5] = nil -- up to four controllers fall from one to the next before they return
     return source.evidence > ENOUGH
   end
