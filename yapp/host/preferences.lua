@@ -141,7 +141,7 @@ function M.register_link_types(text, proto)
     local encapsulation = wtap.USER0 + dlt - FIRST_DLT
     if dlt < FIRST_DLT then
       local problem = "yapp.user_dlt: link type %d is no DLT_USER; those are 147 to 162"
-      problems[#problems + 1] = problem:format(dlt)
+      problems[1] = problems[1] or problem:format(dlt) -- a range may have many
     else
       given[encapsulation] = encapsulations:get_dissector(encapsulation) or false
       encapsulations:add(encapsulation, proto)

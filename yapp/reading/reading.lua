@@ -155,8 +155,8 @@ local function reassemble(self, frame)
   local fields, bus, fragments = frame.can_id, frame.bus, self.reassembly
   frame.source, frame.seq = self.sources[bus][fields.id], fields.seq
   frame.slot = fields.message_key + (bus or 0) * BUS
-  local look = frame.visited and fragments.recall or fragments.add
-  local kind, transfer, anomalies = look(fragments, frame)
+  local read = frame.visited and fragments.recall or fragments.add
+  local kind, transfer, anomalies = read(fragments, frame)
   if transfer then frame.source = transfer.source end
   return kind, transfer or false, anomalies or false
 end

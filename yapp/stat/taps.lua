@@ -369,7 +369,7 @@ function Stat:begin(text)
 end
 
 --- Register the menus of Wireshark, and count the packets of a capture there, where the user may
--- stop a statistic's reading; its window is told how far that is.
+-- stop a statistic's reading: its window shows how far that is.
 function Stat:register_menus()
   local tap, show, on_packets = Listener.new("frame"), windows.register(self)
   self.show = show
