@@ -29,7 +29,6 @@ table.insert(rawget(package, "searchers"), 2, function(name)
 end)
 
 local captures = require "yapp.capture.capture"
-local can_id = require "yapp.wire.can_id"
 local can_ids = require "yapp.host.can_ids"
 local compiler = require "yapp.message.catalogue"
 local field_kinds = require "yapp.message.field_kinds"
@@ -135,7 +134,7 @@ function make_reading()
   -- Nothing calls this dissector, as YAPP shows the Taurus messages.  It must exist, because the
   -- API asks by dissector whether a protocol is wanted (see show.wants).
   function taurus.dissector() return 0 end
-  reading = reading_of.new(types, buses, function(id) ids:register(id, can_id.START) end)
+  reading = reading_of.new(types, buses, function(...) ids:register_start(...) end)
   wants = show_wants.new(catalogue.messages, taurus_fields)
   local view = show_view.new {
     yapp = yapp,
@@ -290,7 +289,7 @@ local function read_preferences()
     several_buses = buses:are_several(),
     hides_source = prefs.hide_source,
     hides_values = prefs.hide_values,
-  }, function(id) ids:register(id, 0) end)
+  }, function(id) ids:register_id(id) end)
   settings.accepts_all = prefs.all_extended
   if settings.accepts_all then watch_unclaimed() end
   settings.late, settings.ids, settings.problems = late, chosen, problems
