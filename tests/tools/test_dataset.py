@@ -6,6 +6,7 @@ import os
 import shlex
 import shutil
 import signal
+from concurrent.futures import ThreadPoolExecutor
 
 import duckdb
 import pandas as pd
@@ -17,6 +18,7 @@ import yapp_tables as yt
 from deltalake import DeltaTable
 from distributed import Client, LocalCluster
 from running import FAKE, killing, motor_row, result, run_tables, wait_for_results
+from yapp_tables.dataset import DataSet, Result
 
 FAULT = {"time": 1700000000.000000001, "frame": 3, "bus": "can0", "source": None, "id": 528, "message": "motor"}
 FAULT |= {"kind": "fault", "field": "fault_flags", "flag": "motor_overcurrent", "event": "raised", "active": None}
@@ -140,6 +142,19 @@ def test_an_older_version_is_refused_with_the_command_that_makes_it_anew(make_ca
     command = shlex.split(said.partition("make it anew: ")[2].replace("CAPTURES", "flights/a.pcapng"))
     assert run_tables(tmp_path, *command[1:], "--tshark", FAKE).returncode == 0
     assert (tmp_path / "data-6/message=motor").is_dir()
+
+
+def test_many_open_a_new_data_set_at_once(tmp_path):
+    def use(number):
+        dataset = DataSet(str(tmp_path / f"data{number // 8}"), "csv")
+        dataset.open()
+        dataset.note(Result(f"{number:016}", "flight.pcapng", "plugin 3"))
+        assert len(list(dataset.results())) <= 8
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(use, range(400)))
+    for data in range(50):
+        assert len(list(DataSet(str(tmp_path / f"data{data}"), "csv").results())) == 8
 
 
 def test_a_url_with_a_slip_is_no_folder(make_capture, tmp_path):

@@ -78,10 +78,12 @@ class DataSet:
         try:
             for folder in (self.path, f"{self.notes}/version"):
                 self.fs.makedirs(folder, exist_ok=True)
-            if not self.fs.glob(f"{self.notes}/*.json"):
-                self._write("version/schema", {"version": SCHEMA})
+            # In this order: others open it at the same time, and note a flight only behind the version.
+            is_empty = not self.fs.glob(f"{self.notes}/*.json")
             version = (self._read("version/schema") or {}).get("version", "5 or older")
-            if version != SCHEMA:
+            if version != SCHEMA and is_empty:
+                self._write("version/schema", {"version": SCHEMA})
+            elif version != SCHEMA:
                 again = f"yapp-tables convert CAPTURES --to {self.to} --out {self.path}-{SCHEMA}"
                 raise SetupError(
                     f"{self.path} has version {version} of the tables, not {SCHEMA}; make it anew: {again}"
@@ -144,8 +146,11 @@ class DataSet:
                 self.fs.rm(path)
 
     def _write(self, name: str, record: dict[str, Any]) -> None:
-        """Write a note; half of one is none, see _read."""
-        self.fs.pipe_file(f"{self.notes}/{name}.json", json.dumps(record, indent=1).encode())
+        """Write a note at once: whoever reads it meanwhile has the old one or the new one."""
+        with self.aside() as folder:
+            note = folder / "note.json"
+            note.write_text(json.dumps(record, indent=1), encoding="utf-8")
+            self._move(note, f"{self.notes}/{name}.json")
 
     def _read(self, name: str) -> dict[str, Any] | None:
         try:

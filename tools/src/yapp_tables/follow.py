@@ -85,7 +85,7 @@ def command_of(samples: Mapping[tuple[str, str], Samples], own: Samples) -> tupl
         values = one.columns[name]
         latest = values[np.maximum(np.searchsorted(one.times, own.times) - 1, 0)]
         good = np.isfinite(latest) & np.isfinite(told)
-        if good.sum() > 50 and np.std(latest[good]) > 0:
+        if good.sum() > 50 and np.ptp(latest[good]) > 0:
             # Its unit may be another one: the controller's own is taken.
             scale, offset = np.polyfit(latest[good], told[good], 1)
             if abs(scale - 1) < 1e-3:

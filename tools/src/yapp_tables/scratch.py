@@ -9,7 +9,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .errors import SetupError
@@ -23,8 +23,9 @@ def scratch(parent: str | os.PathLike[str] | None = None) -> Iterator[Path]:
     where = Path(parent or tempfile.gettempdir())
     advice = "" if parent else ", or set TMPDIR to a folder with more"
     for left in where.glob(f"{PREFIX}*"):  # by a run that was killed
-        if left.exists() and time.time() - left.stat().st_mtime > LEFTOVER_SECONDS:
-            shutil.rmtree(left, ignore_errors=True)
+        with suppress(FileNotFoundError):  # its run has just ended
+            if time.time() - left.stat().st_mtime > LEFTOVER_SECONDS:
+                shutil.rmtree(left, ignore_errors=True)
     try:
         with tempfile.TemporaryDirectory(prefix=PREFIX, dir=where) as folder:
             yield Path(folder)
