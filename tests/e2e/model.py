@@ -24,7 +24,6 @@ KINDS = {name: dict(word.partition("=")[::2] for word in line.split()) for name,
 RULES = [name for name, kind in KINDS.items() if not kind.keys() & {"counts_as", "is_optional"}]  # of `check` alone
 STATISTICS = published.of("statistic")
 IN_TEXT = [name for name in STATISTICS if name not in ("csv", "check", "watch")]  # a table, as text or as JSON
-ON_STDERR = [*(f"{name},json" for name in IN_TEXT), "csv,-,motor"]  # what is left out does not stand in the output
 
 FAULT = {
     0x1: "oc_limit_unmeasurable", 0x2: "cbc_oc_lpdac", 0x4: "pwm_saturated", 0x8: "stack_overflow",

@@ -513,6 +513,7 @@ def adapter(header, carry=lambda data: data):
 
 LINKS = {USER0: raw, RTAC: rtac, EXPORTED_PDU: exported_pdu}
 UAT = ["-o", 'uat:user_dlts:"User 0 (DLT=147)","yapp_serial","0","","0",""']
+NOT_ANALYZED = ["-o", "tcp.analyze_sequence_numbers:FALSE", "-o", "tcp.no_subdissector_on_error:FALSE"]
 OUT_OF_ORDER = ["-o", "tcp.reassemble_out_of_order:TRUE"]
 AS_SERIAL = ["-d", "rtacser.data,yapp_serial"]
 
@@ -563,6 +564,7 @@ TRANSPORTS = {
     "TCP, out of order": (on_one(ETHERNET), segments(disordered), tcp, []),
     "TCP, out of order, Wireshark reassembles": (on_one(ETHERNET), segments(disordered), tcp, OUT_OF_ORDER),
     "TCP that joins nothing": (on_one(ETHERNET), segments(disordered), tcp, ["-o", "tcp.desegment_tcp_streams:FALSE"]),
+    "TCP that is not analyzed": (on_one(ETHERNET), segments(disordered), tcp, NOT_ANALYZED),
     "USB, usbmon": (on_one(USBMON), datagrams(False), adapter(usbmon), []),
     "USB, FTDI in usbmon": (on_one(USBMON), datagrams(False), adapter(usbmon, lambda data: with_status(data, 64)), []),
     "USB, USBPcap": (on_one(USBPCAP), datagrams(False), adapter(usbpcap), []),

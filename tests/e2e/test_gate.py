@@ -12,7 +12,6 @@ import pytest
 import levels
 import make
 import model
-import stream_captures
 import tshark
 from can_generator import Frame, Sent
 from flights import block, option, pad, struct
@@ -44,10 +43,6 @@ def only_at(wanted, change):
 
 def with_fault(sent):
     return Sent(sent.msg, 0, sent.seq, motor_payload(9, faults=0x10000)).frames()
-
-
-def command(key, at):
-    return BEGIN + at, Frame(0, bytes([1, key, 1, 0xFD, 0x7F, 0xFD, 0x7F]))
 
 
 def cut_in(place):
@@ -127,11 +122,7 @@ CASES = {
     "cut at the end": (pcapng(CLEAN[:-2]), 20),
     "an End that the capture cut": (pcapng(flight(spoil=only_at(9, cut_in(4)))), 20),
     "a Command that the capture cut": (pcapng([*CLEAN, (CLEAN[-1][0], Frame(0, bytes(7), captured=3))]), 20),
-    "other IDs": (pcapng(flight(OTHER)), 20),
     "other IDs that are numbered": (pcapng(flight(OTHER, seq=1)), 21),  # nothing claims the frames
-    "an ignored command": (pcapng([*CLEAN, command(0x33, 2_910_000_000)]), 20),
-    "a command": (pcapng([*CLEAN, command(0xA5, 2_910_000_000)]), 0),
-    "a silence to the end": (pcapng([*CLEAN, (BEGIN + 4_000_000_000, Frame(0x18FEF100, bytes(8)))]), 20),
     "empty capture": (pcapng([]), 21),
     "nothing of ours": (pcapng([(BEGIN, Frame(0x18FEF100, bytes(8)))]), 21),
 }
@@ -174,30 +165,11 @@ def test_a_read_filter_where_several_buses_have_one_id(folder):
         done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,check,fault=0", check=False)
         assert done.returncode == code, (passes, done.stdout)
     assert "what came before its messages is not known" in done.stdout
-    for what, code in (("faults", 21), ("events", 21), ("summary", 21), ("csv,-,motor", 0)):
+    for what, code in (("faults", 21), ("csv,-,motor", 0)):
         done = tshark.run("-2", "-R", "yapp.id == 0x210", "-q", "-r", folder / "run.pcapng", "-z", f"yapp,{what}", check=False)
         said = "nothing tells the buses of 0x210 apart"
         assert (done.returncode, said in done.stderr) == (code, code == 21), what
         assert (said in done.stdout) == (code == 21), what
-
-
-def test_a_name_is_that_of_its_own_interface(folder):
-    """CAN has the name of the only CAN interface; what comes by UDP that of its sender."""
-    datagram = stream_captures.udp(stream_captures.Packet(stream_captures.frame(MOTOR, motor_payload(1)),
-                                                          stream_captures.Origin(stream_captures.ETHERNET, 0, 0)))
-    command = Frame(0, bytes(7)).record()
-    blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
-    blocks += [block(1, struct.pack("<HHI", linktype, 0, 0) + option(2, name) + option(9, b"\x09") + option(0, b""))
-               for linktype, name in ((1, b"eth0"), (227, b"can0"))]
-    blocks += [packet(0, 0, datagram), packet(1, 1, command)]
-    (folder / "run.pcapng").write_bytes(b"".join(blocks))
-    assert tshark.fields(folder / "run.pcapng", ["yapp.id", "yapp.bus"]) == [
-        ["0x00000210", "192.0.2.1"], ["0x00000000", "can0"]]
-
-
-def packet(interface, index, data):
-    at = BEGIN + index * 100_000_000
-    return block(6, struct.pack("<IIIII", interface, at >> 32, at & 0xFFFFFFFF, len(data), len(data)) + pad(data))
 
 
 def test_truncated_file(folder):
@@ -226,10 +198,8 @@ def test_a_stream_that_ends_within_a_frame(folder, home, link, passes):
     assert returned == 20 and z(folder, "check,incomplete=1", data=data)[0] == 0
 
 
-def test_two_passes_and_a_capture_that_is_written(folder):
-    assert gate(folder, CASES["fault"][0], RECIPE + " -2")[0] == 20
-    returned, _, _ = shell(folder, RECIPE.replace("-q", "-w out.pcapng"), folder / "home")
-    assert returned == 20
+def test_a_capture_that_is_written(folder):
+    assert gate(folder, CASES["fault"][0], RECIPE.replace("-q", "-w out.pcapng"))[0] == 20
     frames = shell(folder, "tshark -r out.pcapng -T fields -e frame.number", folder / "home")[1]
     assert len(frames.split()) == 150
 
@@ -249,6 +219,8 @@ JUDGED = [
     ("g5_two_escs_one_id.pcapng", ",motor.rate=9..11", 20, {"motor.rate"}),
     ("g6_controller_swap.pcapng", "", 20, {"jump"}),
     ("g8_udp_first_bad.pcap", "", 20, {"crc"}),
+    ("t3_tcp_out_of_order_fault.pcap", "", 20, {"fault"}),
+    ("t4_tcp_segment_missing.pcap", "", 20, {"dropped"}),
     ("g13_no_times_motor_dead.txt", ",silence=0,motor.gap=0.3", 21, set()),
     ("g13_spb_no_times.pcapng", ",silence=0,motor.gap=0.3", 21, set()),
 ]
@@ -267,19 +239,6 @@ def test_what_the_gate_let_through(row, passes):
     assert [line["rule"] for line in lines if "rule" in line]
     kinds = {line["kind"] for line in lines if "kind" in line}
     assert failed - {"motor.rate"} <= kinds
-
-
-def test_a_damaged_line_of_asc(tmp_path):
-    """It may have been a message: an event, and no all-clear."""
-    text = (tshark.CAPTURES / "other/motor.asc").read_text(encoding="utf-8")
-    frames = [line for line in text.splitlines(keepends=True) if " d " in line]
-    for path, content, dropped in ((tmp_path / "good.asc", text, 0), (tmp_path / "cut.asc", text.replace(frames[2], frames[2][:-6] + "\n"), 1)):
-        path.write_text(content, encoding="utf-8")
-        done = tshark.run("-q", "-r", path, "-z", "yapp,events,json", "-z", "yapp,check,json,dropped=0", check=False)
-        rows = [json.loads(line) for line in done.stdout.splitlines()]
-        assert sum(row.get("kind") == "dropped" for row in rows) == dropped
-        assert [row["seen"] for row in rows if row.get("rule") == "dropped=0"] == [dropped]
-        assert ("not understood, counts as a lost packet" in done.stderr, done.returncode) == (dropped == 1, 20 * dropped)
 
 
 def controllers(messages, count=20, seq=0):
@@ -305,11 +264,6 @@ EIGHT = [(bus, 0x210 + number, overheated if (bus, number) == (1, 3) else motor_
          for bus in (0, 1) for number in range(4)]
 
 
-def advice(text):
-    """The preferences that a text says to try."""
-    return shlex.split(re.search(r"\. Try (.*)", text)[1])
-
-
 def undecoded_faults(*arguments):
     """What faults prints of a capture whose sources are not all decoded: their number is unknown, the exit code 21."""
     done = tshark.run("-q", *arguments, "-z", "yapp,faults", check=False)
@@ -328,99 +282,66 @@ def test_eight_controllers_without_a_preference(folder, seq):
         said = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", *taps, check=False).stdout.splitlines()
         assert "YAPP faults: UNKNOWN, 6 of 8 sources not decoded, 0 in what was decoded" in said
         assert [following for line, following in zip(said, said[1:]) if line.startswith("YAPP")] == [text] * len(model.IN_TEXT)
-        for what in model.ON_STDERR if not passes and not seq else model.ON_STDERR[:1]:
-            done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", f"yapp,{what}", check=False)
-            assert f"yapp: {text}\n" in done.stderr and done.returncode == (21 if what.startswith("fault") else 0), what
     assert tshark.run("-q", "-r", folder / "run.pcapng", "-z", "yapp,check", check=False).returncode == 20
-    done = tshark.run(*advice(text), "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults", "-z", "yapp,check,unknown=0")
+    options = shlex.split(text.partition(". Try ")[2])
+    done = tshark.run(*options, "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults", "-z", "yapp,check,unknown=0")
     assert "motor_overcurrent" in done.stdout and "not decoded" not in done.stdout
-
-
-def test_a_firmware_that_appended_bytes(folder):
-    """The known part is decoded, a fault in it is found; that there is more is said."""
-    def grown(index, sent):
-        return Sent(sent.msg, 0, sent.seq, overheated(index) + b"more").frames()
-    (folder / "run.pcapng").write_bytes(pcapng(flight(spoil=grown)))
-    text = "30 messages were decoded in part: can0 0x210 (36 bytes each, Motor Data has 32)"
-    done = tshark.run("-q", "-r", folder / "run.pcapng", "-z", "yapp,faults", "-z", "yapp,csv,-,motor")
-    assert re.search(rf"^YAPP faults: 1\n{re.escape(text)}\n(.*\n)+.*motor_overcurrent  raised", done.stdout, re.M)
-    assert f"yapp: {text}\n" in done.stderr and done.stdout.count(",can0,,528,") == 30
-    done = tshark.run("-q", "-r", folder / "run.pcapng", "-z", "yapp,check,json", "-z", "yapp,events,json", check=False)
-    lines = [json.loads(line) for line in done.stdout.splitlines()]
-    assert {line["rule"] for line in lines if line.get("ok") is False} == {"fault=0", "unknown=0"} and done.returncode == 20
-    (one,) = [line for line in lines if line.get("kind") == "unknown"]
-    assert (one["frame"], one["message"], one["size"], one["count"], one["like"]) == (6, "motor", 36, 30, None)
 
 
 def command_payload(index):
     return bytes([1, 0xA5 if index % 2 else 0x5A, 1, index, 0x7F, 0xFD, 0x7F])
 
 
-def test_single_frames_of_an_unknown_id(folder):
-    """Commands of an ID that is not listed look like Commands: said, with the preference.  Other programs' frames do not."""
-    placed = list(CLEAN)
-    for index in range(20):
-        command, at = command_payload(index), BEGIN + 50_000_000 + index * 100_000_000
-        other = bytearray(command)
-        other[index % 3] = 9
-        placed += [(at, Frame(0x005 << 18, command, bus=1)), (at + 300_000, Frame(0x006 << 18, bytes(other), bus=1))]
-    (folder / "run.pcapng").write_bytes(pcapng(sorted(placed, key=lambda one: one[0]), ("can0", "can1")))
-    text = "20 messages were not decoded: can1 0x5 (7 bytes each, the size of Command). Try -o yapp.command_ids:0x0,0x5"
-    for passes in (), ("-2",):
-        assert undecoded_faults(*passes, "-r", folder / "run.pcapng") == [text]
-    assert tshark.run("-q", "-r", folder / "run.pcapng", "-z", "yapp,check", check=False).returncode == 20
-    done = tshark.run(*advice(text), "-q", "-r", folder / "run.pcapng", "-z", "yapp,check,unknown=0,command.count=20")
-    assert "not decoded" not in done.stdout
+def looks_else(index):
+    """A single frame of another program."""
+    data = bytearray(command_payload(index))
+    data[index % 3] = 9
+    return Frame(0x006 << 18, bytes(data))
 
 
-@pytest.mark.parametrize("payload", [overheated, command_payload])
-def test_a_yapp_ctl_other_than_0(folder, payload):
-    """The vendor plans to use it: such messages are not dissected, but said.  The preference decodes them."""
-    size = len(payload(0))
-    ident, title = (0x210, "Motor Data") if size == 32 else (0, "Command")
+# Frames on can1 by the number of a message, what is said of 20 of them, and the options that decode them.
+UNDECODED = {
+    "an ID that is not listed, beside other programs": (
+        lambda index: [Frame(0x005 << 18, command_payload(index)), looks_else(index)],
+        "0x5 (7 bytes each, the size of Command). Try -o yapp.command_ids:0x0,0x5", ["-o", "yapp.command_ids:0x0,0x5"]),
+    "a YAPP CTL other than 0": (
+        lambda index: Sent(MOTOR, 1, index, overheated(index)).frames(),
+        "0x210 (32 bytes each, Motor Data with a YAPP CTL other than 0, see yapp.all_extended)", ["-o", "yapp.all_extended:TRUE"]),
+    "a Command with it": (
+        lambda index: [Frame(1 << 8 | index, command_payload(index))],
+        "0x0 (7 bytes each, Command with a YAPP CTL other than 0, see yapp.all_extended)", ["-o", "yapp.all_extended:TRUE"]),
+    "a Command with a byte more, beside frames that are none": (
+        lambda index: [Frame(index, command_payload(index) + b"x"), Frame(index, bytes(8), kind="remote"),
+                       Frame(index, bytes([index % 2, index, 2, 0, 0, 0, 0, 0])), Frame(index, command_payload(index)[:6])],
+        "0x0 (8 bytes each, ", []),
+}
+
+
+@pytest.mark.parametrize("name", UNDECODED)
+def test_single_frames_and_messages_that_are_not_decoded(folder, name):
+    """They are said, with what decodes them: then nothing is left out, and a fault is found."""
+    frames_of, text, options = UNDECODED[name]
     placed = list(CLEAN)
     for index in range(20):
-        at = BEGIN + 40_000_000 + index * 100_000_000
-        frames = Sent(ident, 1, index, payload(index)).frames() if size > 8 else [Frame(ident << 18 | 1 << 8 | index, payload(index))]
-        for place, frame in enumerate(frames):
+        for place, frame in enumerate(frames_of(index)):
             frame.bus = 1
-            placed.append((at + place * 300_000, frame))
+            placed.append((BEGIN + 40_000_000 + index * 100_000_000 + place * 300_000, frame))
     (folder / "run.pcapng").write_bytes(pcapng(sorted(placed, key=lambda one: one[0]), ("can0", "can1")))
-    text = f"20 messages were not decoded: can1 {ident:#x} ({size} bytes each, {title} with a YAPP CTL other than 0, " \
-        "see yapp.all_extended)"
-    for passes in (), ("-2",):
-        assert undecoded_faults(*passes, "-r", folder / "run.pcapng") == [text]
-    done = tshark.run("-o", "yapp.all_extended:TRUE", "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults")
-    assert "not decoded" not in done.stdout and ("motor_overcurrent" in done.stdout) == (payload is overheated)
-
-
-def test_a_single_frame_of_another_size(folder):
-    """A firmware that appended a byte to Command: not dissected, but said.  Other frames of its ID are no message."""
-    placed = list(CLEAN)
-    for index in range(20):
-        at = BEGIN + 40_000_000 + index * 100_000_000
-        placed.append((at, Frame(index, command_payload(index) + b"x", bus=1)))
-        placed.append((at + 300_000, Frame(index, bytes(8), kind="remote", bus=1)))
-        placed.append((at + 600_000, Frame(index, bytes([index % 2, index, 2, 0, 0, 0, 0, 0]), bus=1)))
-        placed.append((at + 900_000, Frame(index, command_payload(index)[:6], bus=1)))
-    (folder / "run.pcapng").write_bytes(pcapng(sorted(placed, key=lambda one: one[0]), ("can0", "can1")))
-    titles = [title for _, title, _ in (one for one in model.MESSAGES.values() if one.size == 8)]
-    about = f"the size of {' and of '.join(titles)}" if titles else "Command has 7"
     for passes in (), ("-2",):
         (line,) = undecoded_faults(*passes, "-r", folder / "run.pcapng")
-        assert line.partition(")")[0] == f"20 messages were not decoded: can1 0x0 (8 bytes each, {about}"
+        assert line.startswith(f"20 messages were not decoded: can1 {text}")
+    if options:
+        done = tshark.run(*options, "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults", check=False)
+        assert "not decoded" not in done.stdout and ("motor_overcurrent" in done.stdout) == ("32 bytes" in text)
 
 
 @pytest.mark.parametrize("option", [("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp_all")])
 def test_single_frames_of_an_unknown_id_where_all_frames_are_yapp(folder, option):
     """They are shown as bytes, so they count as not decoded: from the first packet on, though nothing tells its CAN id."""
     frames = [Frame(1 << 18 | index, command_payload(1)) for index in range(3)] + Sent(MOTOR, 0, 1, motor_payload(1)).frames()
-    (folder / "run").write_text("".join(f"(1700000000.{index:06d}) can0 {one.can_id:08X}#{one.data.hex().upper()}\n"
-                                        for index, one in enumerate(frames)))
-    (folder / "run.pcapng").write_bytes(pcapng([(BEGIN + index, one) for index, one in enumerate(frames)], ("can0",)))
-    for name in ("run", "run.pcapng"):
-        (line,) = undecoded_faults("-r", folder / name, *option)
-        assert line.startswith("3 messages were not decoded: can0 0x1 (7 bytes each, the size of Command)")
+    (folder / "run.pcapng").write_bytes(pcapng([(BEGIN + index, one) for index, one in enumerate(frames)]))
+    (line,) = undecoded_faults("-r", folder / "run.pcapng", *option)
+    assert line.startswith("3 messages were not decoded: can0 0x1 (7 bytes each, the size of Command)")
 
 
 def test_remote_frames_beside_data_of_zeros(folder):
@@ -461,8 +382,7 @@ def test_what_no_message_is_found_in(folder):
 
 
 def test_a_display_filter_narrows_no_statistic(folder):
-    for options, is_said in (([], False), (["-Y", "yapp"], True), (["-Yyapp"], True), (["-qY", "yapp"], True),
-                               (["-n2Yyapp"], True), (["-rY.pcap"], False)):
+    for options, is_said in (([], False), (["-n2Yyapp"], True)):
         done = tshark.run("-q", *options, "-r", CASES_FOLDER / "g0_clean.pcapng", "-z", "yapp,summary", "-z",
                           "yapp,faults,filter=yapp")
         assert [line.startswith("-Y does not narrow") for line in done.stdout.splitlines()].count(True) == is_said
@@ -516,20 +436,11 @@ def test_full_disk(folder, home):
     for argument in ("csv,-,motor", "summary", "check,crc=0"):
         returned, _, errors = z(folder, argument, command="exec >/dev/full; tshark -q -r run.pcapng")
         assert returned == 21 and "No space left" in errors, argument
-    table = folder / "table"
-    table.mkdir()
-    table.chmod(0o777)
-    os.symlink("/dev/full", table / "motor.csv.part")
-    returned, _, errors = z(folder, "csv,table")
-    assert returned == 21 and "No space left" in errors
-    assert list(table.iterdir()) == []
 
 
 def test_filter_decides_what_counts(folder, home):
-    for case, rule, code in (("fault", "fault=0", 20), ("fault", "fault=0,filter=frame.number > 60", 0),
-                             ("fault", "fault=0,filter=frame.number > 1000", 21),
-                             ("cut at the end", "incomplete=0,filter=frame.number < 140", 0),
-                             ("cut at the end", "incomplete=0,filter=taurus.motor || yapp.id", 20)):
+    for case, rule, code in (("fault", "fault=0,filter=frame.number > 60", 0), ("fault", "fault=0,filter=frame.number > 1000", 21),
+                             ("cut at the end", "incomplete=0,filter=frame.number < 140", 0)):
         assert z(folder, f"check,{rule}", data=CASES[case][0])[0] == code, rule
 
 

@@ -73,14 +73,6 @@ def test_remote_frames_in_a_message_of_zeros(passes, folder):
     assert rows[6][1:] == ["1", "1,2,4,5,7"]
 
 
-@pytest.mark.parametrize("passes", ONE_PASS, ids=" ".join)
-def test_a_remote_frame_is_no_message_to_count_from(passes, folder):
-    command = Sent(0, 0, 0, COMMAND).frame(0, COMMAND)
-    later = Sent(0, 0, 1, COMMAND).frame(0, COMMAND)
-    rows = shown(written(folder, [command, remote(0, 7), later]), "yapp.time_delta", passes=passes, named=tshark.tells_remote())
-    assert rows == [[""], [""], ["0.002000000"]]
-
-
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=" ".join)
 def test_can_fd_has_no_remote_frames(passes, folder):
     """Whatever its id says: the packet list, where only a text tells, and a tree agree."""
@@ -153,14 +145,6 @@ def test_decode_as_in_two_passes_loses_the_first_message_and_says_so(folder):
     assert [crc for crc, _ in shown(path, *names, passes=("-2", *can_generator.EVERY_EXTENDED))] == ["", "", "", "", "1"] * 2
 
 
-@pytest.mark.parametrize("filtered", [Frame(0x123, bytes.fromhex("BBBE6FC720000000"), kind="standard"),
-                                      Frame(0x01DC4900, bytes.fromhex("BBBE6FC720000000"))], ids=["11 bits", "CTL 9"])
-def test_no_id_of_a_frame_that_a_read_filter_took_away(filtered, folder):
-    other = Frame(0x08404000, bytes.fromhex("BBBE6FC721000000"))
-    path = written(folder, [other, filtered])
-    assert shown(path, "yapp", passes=("-2", "-R", f"can.id == {filtered.can_id:#x}")) == [[""]]
-
-
 INFO = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
 LINK = re.compile(r"  \[Reassembled in #\d+\]| fragment \d+( of \d+)?| started in frame \d+")
 
@@ -209,19 +193,6 @@ def test_what_a_read_filter_leaves(seed, read_filter, folder):
     for now, (row, number) in enumerate(zip(left, numbers, strict=True), 1):
         assert [LINK.sub("", text) for text in row[:-1]] == [LINK.sub("", text) for text in every[int(number) - 1]], number
         assert all(int(other) <= now for other in row[-1].split(",") if other)
-
-
-@pytest.mark.parametrize("before, read_filter", [
-    ([Sent(0, 0, 0, COMMAND).frame(0, COMMAND)], "not yapp.id == 0"), (Sent(0x210, 0, 0, MOTOR).frames(), "not taurus")],
-                         ids=["a single frame", "an End"])
-def test_a_number_that_nobody_was_asked_about(before, read_filter, folder):
-    """A Middle of an unknown message, in front of its first Start, has the number of a frame that was rejected."""
-    unknown = Sent(0x123, 0, 0, MOTOR).frames()
-    rows = shown(written(folder, [*before, unknown[1], *unknown]), "yapp.id", "yapp.crc.status",
-                 passes=("-2", "-R", read_filter))
-    ids = [row[0] for row in rows]
-    assert ids[-6:] == [""] + ["0x00000123"] * 5 and rows[-1][1] == "1"
-    assert [row[1] for row in rows[:-1]] == [""] * (len(rows) - 1)
 
 
 @levels.each_once
@@ -279,14 +250,6 @@ def test_a_first_pass_that_has_columns(name):
     assert found("-Y", 'yapp.reassembled.in && _ws.col.protocol == "YAPP"') == found("-Y", "yapp.reassembled.in")
 
 
-def test_a_statistic_counts_nothing_that_a_read_filter_rejects(folder):
-    """The next packet has its number."""
-    path = written(folder, [Frame(0, COMMAND), Frame(0x123, bytes(8), kind="standard")])
-    for options, count in [((), 1), (("-2",), 1), (("-2", "-R", "yapp"), 1), (("-2", "-R", "!yapp"), 0)]:
-        done = tshark.run(*options, "-q", "-r", path, "-z", "yapp,summary")
-        assert done.stdout.startswith(f"YAPP summary: {count} source"), (options, done.stdout)
-
-
 def acf_can(frames):
     """IEEE 1722: several CAN frames in one Ethernet packet, NTSCF with ACF-CAN messages."""
     messages = b""
@@ -319,24 +282,6 @@ def acf_file(path, packets):
     return path
 
 
-@pytest.mark.parametrize("passes", [("-2",), ("-2", "-Y", "frame")], ids=" ".join)
-def test_frames_of_a_packet_that_a_first_pass_is_not_asked_about(passes, folder):
-    """What it knows of the others is not theirs."""
-    command, unknown = Sent(0, 0, 0, COMMAND).frame(0, COMMAND), Sent(0x123, 0, 9, MOTOR).frames()
-    packets = [[command, *unknown], [*unknown, command], [command, command, *unknown]]
-    for number, packet in enumerate(packets):
-        rows = shown(acf_file(folder / "acf.pcap", [packet]), "taurus.command.rpm", "yapp.id", passes=passes)
-        assert [rows[0][0].split(",")] == [["750.8012"] * packet.count(command)], number
-        assert rows[0][1].split(",").count("0x00000000") == packet.count(command)
-
-
-def test_packets_of_several_frames_that_a_read_filter_rejects(folder):
-    motor, other = Sent(0x210, 0, 0, MOTOR).frames(), Frame(0x123, bytes(8), kind="standard")
-    path = acf_file(folder / "acf.pcap", [motor[:2], [other, motor[2]], [motor[3]], [motor[4]]])
-    rows = shown(path, INFO, "yapp.fragment", passes=("-2", "-R", "not yapp.can.ctrl == 1"))
-    assert rows[0][0].startswith("Motor Data  Middle") and rows[2][1] == "1,1,1,2,3"
-
-
 @levels.each_once
 @pytest.mark.parametrize("passes", PASSES, ids=" ".join)
 @pytest.mark.parametrize("arguments", [("-d", "can.subdissector,yapp_all"), can_generator.EVERY_EXTENDED, ()],
@@ -353,7 +298,3 @@ def test_ids_in_the_byte_order_of_the_machine(arguments, passes, folder):
     assert rows == [["0x00000210", ""]] * 4 + [["0x00000210", "1"]] + [["0x00000123", ""]] * 4 + [["0x00000123", "1"]]
 
 
-@levels.by_route
-def test_the_document_as_text_in_a_tree(folder):
-    shutil.copy(tshark.CAPTURES / "candump/candump_document.txt", folder / "document.txt")
-    assert shown(folder / "document.txt", "yapp.crc.status") == [[""], [""], [""], [""], ["1"]]
