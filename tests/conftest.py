@@ -31,8 +31,6 @@ SKIPS = [
     ("root installs", "user", "as root: .ci/run"),
     ("needs root, to become somebody else", "user", "as root: .ci/run"),
     ("only root is root", "user new", "as root, Wireshark 4.0: .ci/run"),
-    ("a chroot needs root and debootstrap", "", "as root with debootstrap: make test-all"),
-    ("no chroot of ", "", "as root with a mirror within reach: make test-all"),
     ("root reads everything", "root", "as an ordinary user: the workflow test"),
     ("root may read everything", "root", "as an ordinary user: the workflow test"),
     ("strace is not allowed here", "", "where a process may trace its child: .ci/run"),

@@ -552,12 +552,14 @@ class Flight:
         return b"".join(blocks)
 
 
-def acf_can(frame):
-    """IEEE 1722: a CAN frame in an Ethernet packet, an ACF-CAN message in NTSCF."""
-    padding = -len(frame.data) % 4
-    body = bytes([padding << 6 | 8, 1]) + bytes(8) + struct.pack(">I", frame.can_id) + frame.data + bytes(padding)
-    body = struct.pack(">H", 1 << 9 | (2 + len(body)) // 4) + body
-    return bytes(12) + b"\x22\xf0" + struct.pack(">BBBB8x", 0x82, 0x80, len(body), 0) + body
+def acf_can(*frames):
+    """IEEE 1722: CAN frames in one Ethernet packet, ACF-CAN messages in NTSCF."""
+    messages = b""
+    for frame in frames:
+        padding = -len(frame.data) % 4
+        body = bytes([padding << 6 | 8, 1]) + bytes(8) + struct.pack(">I", frame.can_id) + frame.data + bytes(padding)
+        messages += struct.pack(">H", 1 << 9 | (2 + len(body)) // 4) + body
+    return bytes(12) + b"\x22\xf0" + struct.pack(">BBBB8x", 0x82, 0x80 | len(messages) >> 8, len(messages) & 0xFF, 0) + messages
 
 
 LINK_TYPES = [(227, Frame.record),

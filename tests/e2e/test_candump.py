@@ -13,7 +13,6 @@ import pytest
 
 import levels
 import tshark
-from other_reader import OTHER_READER
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "test_captures"))
@@ -244,13 +243,3 @@ def test_files_redirections_and_pipes(tmp_path, name, way):
     assert [row["data"] for row in shown] == [f"{i:08x}" for i in range(LINES)]
 
 
-LOG = (CAPTURES / "candump/candump_log_two_buses.log").read_bytes()
-
-
-def test_the_reader_of_another_plugin_keeps_its_files(tmp_path):
-    path = tmp_path / "other.txt"
-    path.write_bytes(b"OTHER\n" + LOG)
-    other = OTHER_READER % "rs"
-    for lua in (other + REGISTER % tshark.PLUGIN, REGISTER % tshark.PLUGIN + other):
-        _, out, _ = run(tmp_path, ["-r", path, "-T", "fields", "-e", "frame.protocols"], lua=lua)
-        assert "sll" not in out and len(out.splitlines()) == -(-len(LOG) // 23)

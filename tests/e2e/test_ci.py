@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """The jobs for other people's CI: ci/yapp-gate.sh, the action for GitHub and the job for GitLab, run as they would be."""
 import os
-import pathlib
 import re
 import shlex
 import shutil
@@ -151,13 +150,6 @@ def test_waivers(folder, project, flights):
     assert done.returncode == 2 and "waivers:1: a waiver is CAPTURE-PATTERN RULE SOURCE until=" in done.stderr
 
 
-def test_of_many_captures_a_column_stands_for_those_in_which_all_holds(folder, project, flights):
-    for number in range(14):
-        shutil.copy(flights / ("fault.pcapng" if number == 7 else "clean.pcapng"), folder / f"{number:02}.pcapng")
-    done = gate(project, folder, "--rules", RULES, "*.pcapng")
-    assert done.returncode == 20 and re.search(r"^rule +07\.pcapng +13 others$", done.stdout, re.M), done.stdout
-
-
 # What it installs ------------------------------------------------------------------------------------------------------
 
 def test_preferences_and_decode_as(folder, project, flights):
@@ -268,11 +260,6 @@ def test_the_action(folder, project, flights, capture, change, code):
     assert (folder / "report/yapp.xml").exists()
 
 
-@levels.without_tshark("of the script alone: nothing runs")
-def test_the_action_without_a_capture(folder, project):
-    assert action(project, {"capture": "nothing.pcapng", "rules": RULES}, folder) == (2, "code=2\n")
-
-
 def gitlab(project, capture, repository):
     """The job's lines, and its variables."""
     text = (project / "ci/gitlab-yapp.yml").read_text()
@@ -328,33 +315,3 @@ def test_the_page_names_every_input():
     assert re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)[:5] == ["capture", "rules", "sources", "messages", "junit"]
 
 
-@pytest.fixture(scope="module", params=["bookworm", "trixie"])
-def bare(request):
-    """A Debian with nothing but its base, of a release: 12 and 13."""
-    if os.geteuid() != 0 or not shutil.which("debootstrap"):
-        pytest.skip("a chroot needs root and debootstrap")
-    top = pathlib.Path(tshark.writable_folder())
-    made = subprocess.run(["debootstrap", "--variant=minbase", request.param, top / "root"], capture_output=True, text=True,
-                          check=False)
-    if made.returncode != 0:
-        shutil.rmtree(top, ignore_errors=True)
-        pytest.skip(f"no chroot of {request.param}: {made.stdout[-300:]}")
-    shutil.copy("/etc/resolv.conf", top / "root/etc/resolv.conf")
-    (top / "root/etc/apt/apt.conf.d/99clock").write_text('Acquire::Check-Date "false";\n')
-    yield top / "root"
-    shutil.rmtree(top, ignore_errors=True)
-
-
-@levels.deep
-def test_the_job_on_a_bare_debian(bare, folder, project, flights):
-    """It has to get git and tshark.  Its clone then judges as the action does."""
-    shutil.copytree(flights, bare / "builds")
-    repository(project)
-    shutil.copytree(project, bare / "srv/yapp")
-    lines, given = gitlab(project, "/builds/fault.pcapng", "file:///srv/yapp")
-    given.update(GIT_CONFIG_COUNT="1", GIT_CONFIG_KEY_0="safe.directory", GIT_CONFIG_VALUE_0="*", TMPDIR="/tmp")
-    done = run(["chroot", bare, "bash", "-eo", "pipefail", "-c", "\n".join(["cd /builds", *lines])], folder, **given)
-    assert done.returncode == 20, done.stdout + done.stderr
-    for capture, code in (("clean.pcapng", 0), ("nothing.pcapng", 2)):
-        done = run(["chroot", bare, "/tmp/yapp/ci/yapp-gate.sh", "--rules", RULES, f"/builds/{capture}"], folder, TMPDIR="/tmp")
-        assert done.returncode == code, done.stdout + done.stderr

@@ -52,28 +52,15 @@ def test_plugin_folder(home):
     assert load(home) == []
 
 
-def test_plugin_folder_itself(home):
-    """Unpacked without a folder of its own."""
-    (home / PLUGINS).parent.mkdir(parents=True)
-    install(home / PLUGINS)
-    assert load(home) == []
+PLACES = [("a-b+c (copy) 100%", "{}/yapp.lua"), ("grün", "{}/yapp.lua"), ("one;two", "{}/yapp.lua"), ("one?two", "{}/yapp.lua"),  # package.path
+          ("plugin", "plugin/yapp.lua"), ("other/plugin", "./other/../other/plugin/yapp.lua")]
 
 
-def test_script(home):
-    assert load(home, *script(install(home / "elsewhere"))) == []
-
-
-@pytest.mark.parametrize("name", ["a-b+c (copy) 100%", "grün"])
-def test_script_in_any_folder(home, name):
-    assert load(home, *script(install(home / name))) == []
-
-
-@pytest.mark.parametrize("cwd, path", [("plugin", "yapp.lua"), ("plugin", "./yapp.lua"), ("other", "../plugin/yapp.lua"),
-                                       (".", "plugin/yapp.lua")])
-def test_script_by_a_relative_path(home, cwd, path):
-    install(home / "plugin")
-    (home / "other").mkdir()
-    assert load(home, "-X", f"lua_script:{path}", cwd=home / cwd) == []
+@pytest.mark.parametrize("name, path", PLACES)
+def test_script_in_any_folder_by_any_path(home, name, path):
+    """Lua's package.path takes ";" and "?" for its own."""
+    tshark.copy_plugin(home / name)
+    assert load(home, "-X", f"lua_script:{path.format(home / name)}", cwd=home) == []
 
 
 def the_one_line(errors):
@@ -136,16 +123,6 @@ def test_a_clone_in_a_plugin_folder(home):
     done = tshark.run("-r", CAPTURE, plugin=False, env={"HOME": str(home)}, cwd="/", lua_errors=True)
     assert "Motor Data" in done.stdout
     assert f"{PLUGINS}/clone/yapp/" in done.stderr
-
-
-@pytest.mark.parametrize("name", ["one;two", "one?two", "a ?.lua;b", "per%cent", "a+b-c.d"])
-def test_any_folder_name(folder, name):
-    """Lua's package.path takes ";" and "?" for its own."""
-    plugin = tshark.copy_plugin(folder / name)
-    for path in [folder, *folder.rglob("*")]:
-        path.chmod(0o755 if path.is_dir() else 0o644)
-    done = tshark.run(*script(plugin), "-r", CAPTURE, plugin=False)
-    assert "Motor Data" in done.stdout
 
 
 @pytest.mark.parametrize("module", ["can/reassembly", "stat/check"])

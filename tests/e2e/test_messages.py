@@ -15,7 +15,6 @@ import sys
 import pytest
 
 import levels
-import model
 import tshark
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captures"))
@@ -119,36 +118,20 @@ def test_values(name):
             assert all(same(*pair) for pair in zip(texts, wanted.split(","))), (field, row[place], wanted)
 
 
-# Capture, display filter, its frames.
+# Capture, display filter, its frames: of each kind of value.
 FILTERS = [
-    ("unsigned", "taurus.unsigned.u64 == 18446744073709551615", [3]), ("unsigned", "taurus.unsigned.u24 > 1", [3]),
-    ("signed", "taurus.signed.i24 < 0", [2, 4]), ("signed", "taurus.signed.i64 < -9223372036854775807", [4]),
-    ("signed", "taurus.value.invalid", [5]),
-    ("real", "taurus.real.f32 == 0.1", [1]), ("real", "taurus.real.f64 == 0.1", [1]),
-    ("real", "taurus.real.f32 > 0 || taurus.real.f32 <= 0", [1, 2, 3, 7]),
-    ("real", "taurus.real.f64.special == 0", [4]), ("real", "taurus.value.special", [4, 5, 6]),
-    ("compressed", "taurus.compressed.c32 == 1", [2]), ("compressed", "taurus.compressed.c32.special == 4", [3]),
-    ("odd", "taurus.odd.u56 == 72057594037927935", [3]), ("odd", "taurus.odd.i40 < 0", [2, 4]),
-    ("scaled", "taurus.scaled.air == -10.5", [1]), ("scaled", "taurus.scaled.latitude == 47.3979147", [1]),
-    ("word", "taurus.word.gear == 7", [2]), ("word", "taurus.value.invalid", [3]),
-    ("word", "taurus.fault.active", [2, 3, 4]), ("word", "taurus.word.word.armed == 1", [2]),
-    ("word", "taurus.word.word.undefined", [4]), ("word", "taurus.word.word == 0x0010", [3]),
-    ("scaled", "taurus.scaled.gradient == -98", [1]), ("word", "taurus.word", [1, 2, 3, 4]),
-    ("text", 'taurus.text.name == "ESC 1"', [1]), ("text", "taurus.text.on == 1", [2]),
-    ("text", "taurus.text.key == ff:fe:7f:80", [2]),
+    ("unsigned", "taurus.unsigned.u64 == 18446744073709551615", [3]), ("signed", "taurus.signed.i64 < -9223372036854775807", [4]),
+    ("real", "taurus.real.f64.special == 0", [4]), ("real", "taurus.real.f32 > 0 || taurus.real.f32 <= 0", [1, 2, 3, 7]),
+    ("compressed", "taurus.compressed.c32 == 1", [2]), ("odd", "taurus.odd.i40 < 0", [2, 4]),
+    ("scaled", "taurus.scaled.latitude == 47.3979147", [1]), ("scaled", "taurus.scaled.gradient == -98", [1]),
+    ("word", "taurus.value.invalid", [3]), ("word", "taurus.word.word.undefined", [4]),
+    ("text", 'taurus.text.name == "ESC 1"', [1]), ("text", "taurus.text.key == ff:fe:7f:80", [2]),
 ]
-
-
-@pytest.mark.usefixtures("own")
-@pytest.mark.parametrize("name", sorted({row[0] for row in FILTERS}))
-def test_filters(name):
-    tshark.assert_found(OWN / f"{name}.pcap", [row[1:] for row in FILTERS if row[0] == name])
 
 
 @levels.by_version
 @pytest.mark.usefixtures("own")
-@pytest.mark.parametrize("name, text, frames", levels.few(FILTERS, [row for row in FILTERS if row[0] in ("word", "text")][-4:], several=True),
-                         ids=lambda value: value if isinstance(value, str) else "")
+@pytest.mark.parametrize("name, text, frames", levels.few(FILTERS, FILTERS[-4:], several=True), ids=lambda value: value if isinstance(value, str) else "")
 def test_a_filter_alone(name, text, frames):
     """Nothing else is wanted of the tree."""
     found = tshark.run("-r", OWN / f"{name}.pcap", "-Y", text).stdout
@@ -181,71 +164,18 @@ def loaded(folder, files, *arguments, env=None):
     return done.stdout.strip(), [line for line in done.stderr.splitlines() if line.startswith("yapp: ")]
 
 
-def test_the_personal_folder(folder):
-    text = ENTRY.format(name="command", title="Mine", ident=0)
-    assert loaded(folder, {"yapp_messages.lua": text}) == ("Mine", [])
-
-
-def test_a_path_in_a_preference_takes_effect_at_the_next_start(folder):
+# The file in the personal folder; another by a preference, by the environment; and one by a preference for one run.
+@pytest.mark.parametrize("way, wanted", [("folder", "Mine"), ("preference", "Chosen"), ("environment", "Chosen"), ("-o", "Command  Enabled")])
+def test_where_messages_are_loaded_from(folder, way, wanted):
     path = folder / "elsewhere.lua"
     path.write_text(ENTRY.format(name="command", title="Chosen", ident=0))
-    files = {"yapp_messages.lua": ENTRY.format(name="command", title="Mine", ident=0),
-             "preferences": f"yapp.messages: {path}\n"}
-    assert loaded(folder, files) == ("Chosen", [])
-
-
-def test_a_preference_for_one_run_says_what_to_do(folder):
-    path = folder / "elsewhere.lua"
-    path.write_text(ENTRY.format(name="command", title="Chosen", ident=0))
-    info, said = loaded(folder, {}, "-o", f"yapp.messages:{path}")
-    assert info.startswith("Command  Enabled")
-    assert said == [f"yapp: preferences: {path} is read at the next start, if the default profile names it; for one run "
-                    "set the environment variable YAPP_MESSAGES to it"]
-
-
-def test_the_environment(folder):
-    path = folder / "elsewhere.lua"
-    path.write_text(ENTRY.format(name="command", title="Named", ident=0))
-    files = {"yapp_messages.lua": ENTRY.format(name="command", title="Mine", ident=0)}
-    assert loaded(folder, files, env={"YAPP_MESSAGES": str(path)}) == ("Named", [])
-
-
-
-
-def test_generated_values(folder):
-    """Each is what its operator makes of its two fields, and absent where one of them has no value."""
-    for ident, message in model.MESSAGES.items():
-        payloads = model.sweep(ident) if message.generated else []
-        path = folder / f"{message[0]}.pcap"
-        path.write_bytes(make.pcap(make.Source("".join(f"can0 fd [{ident:X} {one.hex(' ')}]\n" for one in payloads))))
-        names = [f"taurus.{message[0]}.{name}" for name in message.generated]
-        rows = tshark.fields(path, names) if payloads else []
-        for payload, row in zip(payloads, rows, strict=True):
-            values = model.generated(ident, payload)
-            for name, text in zip(names, row, strict=True):
-                assert (text == "") == (name not in values) and float(text or 0) == pytest.approx(values.get(name, 0), rel=1e-6, abs=1e-9)
-
-
-def test_derived_values_are_like_fields():
-    """In a table, in fields.json, in summary, and in a rule."""
-    path = tshark.CAPTURES / "can/info_column.pcap"
-    power = model.generated(model.MOTOR, make.read("info_column").messages[0]["payload"])["taurus.motor.dc_power"]
-    header, row = [line.split(",") for line in tshark.run("-q", "-r", path, "-z", "yapp,csv,-,motor").stdout.splitlines()]
-    assert header[-1] == "dc_power" and float(row[-1]) == pytest.approx(power, rel=1e-6)
-    summary = json.loads(tshark.run("-q", "-r", path, "-z", "yapp,summary,json").stdout)
-    assert summary["values"]["dc_power"]["max"] == pytest.approx(power, rel=1e-6)
-    for limit, code in (power + 1, 0), (power - 1, 20):
-        assert tshark.run("-q", "-r", path, "-z", f"yapp,check,motor.dc_power=..{limit}", check=False).returncode == code
-
-
-@pytest.mark.parametrize("case", ["c1_catalogue_keyed", "c2_catalogue_hole"])
-def test_a_file_that_is_no_list(case):
-    """Nothing is left out without a word, and check cannot judge."""
-    path = tshark.CAPTURES / f"cases/{case}.lua"
-    done = tshark.run("-q", "-r", tshark.CAPTURES / "cases/c_battery.pcapng", "-z", "yapp,check", env={"YAPP_MESSAGES": str(path)},
-                      check=False)
-    assert f"yapp: {path}: cannot be read: " in done.stderr and "the file must return a list of messages" in done.stderr
-    assert done.returncode == 21, done.stderr
+    files = {} if way == "-o" else {"yapp_messages.lua": ENTRY.format(name="command", title="Mine", ident=0)}
+    files |= {"preferences": f"yapp.messages: {path}\n"} if way == "preference" else {}
+    info, said = loaded(folder, files, *(["-o", f"yapp.messages:{path}"] if way == "-o" else []),
+                        env={"YAPP_MESSAGES": str(path)} if way == "environment" else None)
+    assert info.startswith(wanted)
+    assert said == ([f"yapp: preferences: {path} is read at the next start, if the default profile names it; for one run "
+                     "set the environment variable YAPP_MESSAGES to it"] if way == "-o" else [])
 
 
 # Payloads of another size ------------------------------------------------------------------------------------------
@@ -292,36 +222,6 @@ def test_a_firmware_that_appends_fields(folder, passes):
         (frames[place], event) for frames in ends for place, event in enumerate(["raised", "cleared"])]
 
 
-OLD_AND_NEW = """return { { name = "motor", title = "Motor Data", id = 0x210, size = 36, min_size = 32, info = "{volts:%.2f} V  {more}",
-  derived = { { "power", "volts * amps", "Power", unit = "W" }, { "sum", "more + amps", "Sum" } },
-  { "before", "bytes", "Before", length = 8 }, { "volts", "float16", "Volts", min = -128, max = 128, unit = "V" },
-  { "amps", "float16", "Amps", min = -128, max = 128, unit = "A" }, { "behind", "bytes", "Behind", length = 20 },
-  { "more", "uint32", "More" } } }"""
-
-
-@levels.by_version
-def test_one_entry_for_two_firmwares(folder):
-    """From min_size bytes on a payload is the message; what it does not have is absent in tree, Info and table."""
-    (folder / "both.lua").write_text(OLD_AND_NEW)
-    path, ends = together(folder, f"210 {MOTOR}", f"210 {MOTOR}05000000", f"210 {MOTOR}0506", f"210 {MOTOR[:62]}",
-                          f"210 {MOTOR}0500000009", f"!210 {MOTOR}")
-    env = {"YAPP_MESSAGES": str(folder / "both.lua")}
-    names = ["taurus.motor.volts", "taurus.motor.more", "taurus.motor.sum", "yapp.undecoded", expected.column("Info")]
-    rows = [line.split("|")[:5] for line in tshark.run(
-        "-r", path, "-T", "fields", "-E", "separator=|", *[part for name in names for part in ("-e", name)], env=env).stdout.splitlines()]
-    for link, frames in zip(LINKS, ends):
-        old, new, between, short, longer, bad = [rows[number - 1] for number in frames]
-        assert old[:4] == between[:4] == bad[:4] == ["47.97314", "", "", ""], link
-        assert old[4].endswith("47.97 V  -") and bad[4].startswith("BAD CRC  Motor Data") and bad[4].endswith("47.97 V  -"), link
-        assert new[:4] == ["47.97314", "5", "5", ""] and new[4].endswith("47.97 V  5"), link
-        assert short[:4] == ["", "", "", ""] and short[4].endswith(", 31 bytes, the catalogue says 32 to 36"), link
-        assert longer[:4] == ["47.97314", "5", "5", "09"] and longer[4].endswith("47.97 V  5  [37 bytes, 1 not decoded]"), link
-    table = tshark.run("-q", "-r", path, "-z", "yapp,csv,-,motor,filter=udp", env=env).stdout.splitlines()
-    cells = [line.split(",", 6)[6].split(",") for line in table]
-    assert cells[0] == ["before", "volts", "volts_special", "amps", "amps_special", "behind", "more", "power", "sum"]
-    assert [row[-3:] for row in cells[1:]] == [["", "0", ""], ["5", "0", "5"], ["", "0", ""], ["5", "0", "5"]]
-
-
 # docs/messages.md ------------------------------------------------------------------------------------------------
 
 def test_the_page_about_messages(folder):
@@ -355,17 +255,6 @@ if __name__ == "__main__":
     for one in NAMES:
         (OWN / f"{one}.pcap").write_bytes(pcap(one))
         (OWN / f"{one}.expected").write_text(shown(one))
-
-
-def test_an_undefined_negative_value():
-    """The message with it has a fault, too: neither is lost, on any Lua."""
-    folder = tshark.CAPTURES / "cases"
-    done = tshark.run("-q", "-r", folder / "c1_negative_enum.pcap", "-z", "yapp,check", "-z", "yapp,summary,json", check=False,
-                      env={"YAPP_MESSAGES": str(folder / "c1_negative_enum.lua")})
-    assert done.returncode == 20 and "the plugin failed" not in done.stderr, done.stderr
-    assert "FAILED  fault=0" in done.stdout and "FAILED  invalid=0" in done.stdout
-    row = json.loads(done.stdout.splitlines()[-1])
-    assert (row["count"], row["invalid"]) == (20, 1)
 
 
 @pytest.mark.parametrize("wanted, frames", [

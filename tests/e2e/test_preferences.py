@@ -90,8 +90,6 @@ def test_message_ids(folder):
         assert f"Message ID: {title}" in tree
 
 
-
-
 # Other preferences -----------------------------------------------------------------------------------------------
 
 def test_all_extended():
@@ -226,28 +224,5 @@ def test_adding_a_message_is_adding_an_entry(folder):
 
 
 # Where it is installed -------------------------------------------------------------------------------------------
-
-def install(home, name):
-    folder = home / ".local/lib/wireshark/plugins" / name
-    folder.mkdir(parents=True)
-    tshark.install_plugin(folder)
-    return folder
-
-
-# Folders with the plugin, whether -X gives it too, and how often it says that it is there already.
-PLACES = [(["yapp"], False, 0), ([], True, 0), (["yapp"], True, 1)]
-
-
-@pytest.mark.parametrize("installed, script, said", PLACES)
-def test_loaded_once(folder, installed, script, said):
-    folders = [install(folder, name) for name in installed]
-    load = tshark.load(tshark.PLUGIN / "yapp.lua") if script else []
-    done = tshark.run(*load, "-r", make.capture("document_command")[0], "-V", plugin=False, env={"HOME": str(folder)})
-    assert done.stdout.count("Yet Another Packet Protocol, Command") == 1
-    assert done.stdout.count("Taurus Command") == 1
-    lines = [line for line in done.stderr.splitlines() if line.startswith("yapp: ")]
-    assert len(lines) == said
-    for line in lines:
-        assert "is not loaded" in line and f"{folders[0]}/yapp.lua" in line and "is already there" in line
 
 

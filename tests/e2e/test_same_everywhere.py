@@ -4,12 +4,11 @@ import functools
 import random
 import re
 import shutil
-import struct
-import subprocess
 
 import pytest
 
 import can_generator
+import flights
 import levels
 import tshark
 from can_generator import Frame, Sent
@@ -79,19 +78,6 @@ def test_can_fd_has_no_remote_frames(passes, folder):
     path = written(folder, [Frame(0, bytes(7), fd=True, kind="remote")])
     assert "Command" in tshark.run(*passes, "-r", path).stdout
     assert shown(path, "yapp.id", passes=passes) == [["0x00000000"]]
-
-
-@levels.each_once
-@pytest.mark.parametrize("passes", [(), ("-2",)], ids=" ".join)
-@pytest.mark.parametrize("options", [("-V",), ("-T", "fields", "-e", "yapp.crc.status")], ids=" ".join)
-@pytest.mark.parametrize("layout", ["plain", "interfaces", "sll2"])
-def test_comments_on_packets(layout, options, passes, folder):
-    """A packet comment is a field without bytes."""
-    path, commented = written(folder, Sent(0x210, 0, 0, MOTOR).frames(), layout), folder / "commented.pcapng"
-    subprocess.run(["editcap", *(word for at in range(1, 6) for word in ("-a", f"{at}:seen")), path, commented], check=True,
-                   capture_output=True)
-    done = tshark.run("-r", commented, *passes, *options)
-    assert "Good (1)" in done.stdout if options == ("-V",) else done.stdout.split() == ["1"]
 
 
 def stray_end(buses):
@@ -197,21 +183,6 @@ def test_what_a_read_filter_leaves(seed, read_filter, folder):
 
 @levels.each_once
 @pytest.mark.parametrize("passes", PASSES, ids=" ".join)
-@pytest.mark.parametrize("layout", ["plain", "interfaces", "sll", "sll2"])
-@pytest.mark.parametrize("arguments", [("-d", "can.subdissector,yapp_all"), can_generator.EVERY_EXTENDED], ids=["Decode As", "all"])
-def test_malformed_frames_of_known_ids(arguments, layout, passes, folder):
-    first = Frame(0x300 << 18, bytes(4))  # from the first one that comes by Decode As on, headers tell the ids
-    frames = [first, *Sent(0x210, 0, 0, MOTOR).frames(), remote(0, 7), *Sent(0x210, 0, 0, bytes(32)).frames(),
-              Frame(0x08000000, bytes(3)), Frame(0x08404000, b"abc"), *Sent(0x210, 0, 0, MOTOR).frames()]
-    rows = shown(written(folder, frames, layout), INFO, "yapp.size.mismatch", "yapp.fragment.incomplete",
-                 passes=(*passes, *arguments), named=["frame.interface_id", "sll.ifindex", "can.id"])
-    said = [re.sub(r" 0x\w+ \(.*\)", "", row[0]) for row in rows[12:14]]
-    assert said == ["Health, 3 bytes, the catalogue says 17", "Motor Data  Start of no message"]
-    assert bool(rows[12][1]) and bool(rows[13][2])
-
-
-@levels.each_once
-@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
 @pytest.mark.parametrize("layout", ["plain", "sll"])
 @pytest.mark.parametrize("ids", [1, 200])
 def test_others_throw_at_frames_that_the_capture_cut(ids, layout, passes, folder):
@@ -227,16 +198,6 @@ def test_others_throw_at_frames_that_the_capture_cut(ids, layout, passes, folder
     assert [bool(row[1]) for row in found] == [False] + [True] * 300 + [False] * 5
 
 
-@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
-def test_a_command_of_another_length_at_the_end(passes, folder):
-    """Its CAN id is 0, as that of a frame that comes by Decode As; a second pass meets the frame that the first left last."""
-    path = written(folder, [Frame(0, COMMAND), Frame(0, COMMAND[:6])])
-    rows = tshark.fields(path, ["yapp.id", "yapp.size.mismatch"], *passes)
-    assert rows == [["0x00000000", ""], ["", ""]]
-    done = tshark.run(*passes, "-q", "-r", path, "-z", "yapp,check,crc=0")
-    assert "all rules hold" in done.stdout, done.stdout
-
-
 @pytest.mark.skipif(tshark.version() < (4, 2), reason="no filter names a column")
 @pytest.mark.parametrize("name", ["can/document_motor.pcap", "serial/document_uart_split.pcap"])
 def test_a_first_pass_that_has_columns(name):
@@ -250,21 +211,14 @@ def test_a_first_pass_that_has_columns(name):
     assert found("-Y", 'yapp.reassembled.in && _ws.col.protocol == "YAPP"') == found("-Y", "yapp.reassembled.in")
 
 
-def acf_can(frames):
-    """IEEE 1722: several CAN frames in one Ethernet packet, NTSCF with ACF-CAN messages."""
-    messages = b""
-    for frame in frames:
-        padding = -len(frame.data) % 4
-        body = bytes([padding << 6 | 8, 1]) + bytes(8) + struct.pack(">I", frame.can_id) + frame.data + bytes(padding)
-        messages += struct.pack(">H", 1 << 9 | (2 + len(body)) // 4) + body
-    return bytes(12) + b"\x22\xf0" + struct.pack(">BBBB8x", 0x82, 0x80 | len(messages) >> 8, len(messages) & 0xFF, 0) + messages
-
-
 @pytest.mark.parametrize("passes", PASSES, ids=" ".join)
 def test_several_can_frames_in_a_packet(passes, folder):
     motor, command = Sent(0x210, 0, 0, MOTOR).frames(), Sent(0, 0, 0, COMMAND).frame(0, COMMAND)
     packets = [[*motor, command], motor[:3], [*motor[3:], command, command], [command], motor]
-    rows = shown(acf_file(folder / "acf.pcap", packets), "yapp.id", "yapp.crc.status", "yapp.fragment", "yapp.reassembled.in",
+    path = folder / "acf.pcap"
+    path.write_bytes(can_generator.pcap_head(1) + b"".join(
+        can_generator.pcap_packet(number, packet, len(packet)) for number, packet in enumerate(flights.acf_can(*one) for one in packets)))
+    rows = shown(path, "yapp.id", "yapp.crc.status", "yapp.fragment", "yapp.reassembled.in",
                  "yapp.fragment.orphan", "yapp.size.mismatch", passes=passes)
     motor_id, command_id = "0x00000210", "0x00000000"
     assert [row[0].split(",") for row in rows] == [
@@ -273,13 +227,6 @@ def test_several_can_frames_in_a_packet(passes, folder):
     if "-2" in passes:
         assert [row[3] for row in rows] == ["1,1,1,1,1", "3,3,3", "3,3", "", "5,5,5,5,5"]
     assert not any(row[4] or row[5] for row in rows)
-
-
-def acf_file(path, packets):
-    packets = [acf_can(one) for one in packets]
-    path.write_bytes(can_generator.pcap_head(1) + b"".join(
-        can_generator.pcap_packet(number, packet, len(packet)) for number, packet in enumerate(packets)))
-    return path
 
 
 @levels.each_once

@@ -20,7 +20,7 @@ import model
 import stream_captures
 import tshark
 from expected import plain
-from stream_captures import ETHERNET, EXPORTED_PDU, USER0, Event, Packet, Origin, frame, header
+from stream_captures import ETHERNET, EXPORTED_PDU, Event, Packet, Origin, frame, header
 
 STREAMS = int(os.environ.get("YAPP_SOAK_STREAMS", levels.size("110", "330")))
 SEED = os.environ.get("YAPP_SEED", "1")
