@@ -14,10 +14,10 @@ end
 
 function T.test_frames_that_stand_in_a_window()
   local context = new_context({})
-  local columns = output.columns { { "frame", where = "window" }, { "kind", where = "window" } }
+  local columns = output.columns({}, "frame kind")
   output.print(context, "YAPP events: 3", columns,
     { { frame = 7 }, { kind = "absent" }, { frame = 9 } }, {})
-  columns = output.columns { { "gap_max_frame", where = "window" } }
+  columns = output.columns({}, "gap_max_frame")
   output.print(context, "YAPP summary", columns, { { gap_max_frame = 165 } }, {})
   lu.assertEquals(context.frames, { 7, 9, 165 })
 end
@@ -26,9 +26,7 @@ end
 function T.test_a_table_of_a_window()
   lu.assertEquals({ output.text(-0.1015723, true), output.text(5200.671, true) }, { "-0.10157", "5200.7" })
   lu.assertEquals(output.text(-0.1015723), "-0.101572")
-  local columns = output.columns { { "rel", where = "window" }, { "who", where = "window" }, { "bus", where = "text" },
-    { "frame", where = "text" }, { "source", where = "text" }, { "kind", where = "text window", title = "event" },
-    { "help", where = "text" } }
+  local columns = output.columns({ "bus", { "kind", title = "event" } }, "bus frame source kind help", "rel who kind")
   local rows = { { bus = "can0", frame = 7, source = "left", who = "left", kind = "what it says at length", help = "",
     rel = output.seconds(0.5) }, { bus = "can1", frame = 12, source = "ö", who = "ö", id = { json = "1", text = "" },
     rel = output.seconds(1) } }
@@ -45,8 +43,7 @@ end
 
 function T.test_rows_are_printed()
   local context, said = new_context()
-  local columns = output.columns { { "rel", where = "text" }, { "id", where = "json text" },
-    { "frame", where = "json text" } }
+  local columns = output.columns({ "id", "frame" }, "rel id frame")
   local rows = { { rel = output.seconds(0.5), frame = 3, id = { json = "9", text = "0x9" } } }
   output.print(context, "YAPP", columns, rows, { "what is left out" })
   context.json = true

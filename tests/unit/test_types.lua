@@ -246,7 +246,7 @@ function T.test_columns_are_described()
     preferences = { { "late", "bool", "Late", false, "about" } } } }
   local text = inventory.describe(settings, text_of.columns, {})
   lu.assertStrContains(text, '{"version":1,"plugin":"9.8.7","messages":{"m":{"title":"M","every":0.5,' ..
-    '"columns":[' .. table.concat(columns, ",") .. '],"differences":[],"formulas":[]}},"statistics":{},' ..
+    '"columns":[' .. table.concat(columns, ",") .. '],"formulas":[]}},"statistics":{},' ..
     '"kinds":[{"name":"fault",')
   lu.assertStrContains(text, '"fields":[{"name":"a.b","type":"UINT8","title":"A","help":"about"}],"experts":[],' ..
     '"preferences":[{"name":"late","type":"bool","title":"Late","default":"false","help":"about"}]}')
@@ -263,7 +263,7 @@ function T.test_values_of_two_fields_are_described()
   local text = inventory.describe({ catalogue = compiled, published = { fields = {}, experts = {}, preferences = {} } },
     text_of.columns, {})
   local error_ = '{"name":"error","of":"seen","operator":"-","less":"asked","unit":"V","title":"Error"}'
-  lu.assertStrContains(text, '"differences":[' .. error_ .. '],"formulas":[' .. error_ ..
+  lu.assertStrContains(text, '"formulas":[' .. error_ ..
     ',{"name":"power","of":"seen","operator":"*","less":"asked","unit":"W","title":"Power"}]')
 end
 

@@ -126,21 +126,22 @@ local function bits_of(packet)
   return 47 + more + (34 + more) / 30
 end
 
-local COLUMNS = output.columns {
-  { "bus" },
+--- The columns, see output.columns.
+M.COLUMNS = output.columns({
+  "bus",
   { "frames", "integer", "data and remote frames" },
   { "rate", "number", "(frames - 1) / (last - first)", unit = "Hz" },
   { "yapp", "integer", "the frames of them that are YAPP's", title = "YAPP" },
-  { "others", where = "text window" },
-  { "errors", "values",
-    "error frames by the gravest that each reports: `" .. table.concat(NAMES, " ") .. "`" },
-  { "first", where = "text", title = "first/s" },
-  { "last", where = "text", title = "last/s" },
+  {
+    "errors",
+    "values",
+    "error frames by the gravest that each reports: `" .. table.concat(NAMES, " ") .. "`",
+  },
+  { "first", title = "first/s" },
+  { "last", title = "last/s" },
   { "load", "number", "the mean share of `bitrate=` that frames take" },
   { "load_max", "number", "the highest within a second", title = "in 1 s" },
-}
---- The columns, see output.columns.
-M.COLUMNS = COLUMNS
+}, "bus frames rate yapp others errors first last load load_max")
 
 local Buses = {}
 Buses.__index = Buses
@@ -236,7 +237,7 @@ end
 --- End, see stat.answer.
 function Buses:finish(ending, notes)
   local title = ("YAPP buses: %d"):format(#self.list)
-  output.print(self.context, title, COLUMNS, self:rows(ending), notes)
+  output.print(self.context, title, M.COLUMNS, self:rows(ending), notes)
 end
 
 return M

@@ -38,23 +38,28 @@ local OK = {
   code = output.EXIT_OK,
 }
 --- The columns, see output.columns.
-M.COLUMNS = output.columns {
+M.COLUMNS = output.columns({
   { "ok", "boolean", "whether the rule holds; null if it could not be judged", title = "check" },
   { "rule", "string", "the rule" },
-  { "who" },
-  { "bus" },
-  { "id" },
-  { "source" },
-  { "message" },
-  { "frame" },
+  "bus",
+  "id",
+  "source",
+  "message",
+  "frame",
   { "seen", "number", "what was seen" },
-  { "limit", "text", "a number, or a text such as `9..11`", where = "json" },
+  { "limit", "text", "a number, or a text such as `9..11`" },
   { "worst", "number", "the value that is nearest to a limit, or farthest outside" },
   { "margin", "number", "how far it lies within the limit, in the field's unit; negative outside" },
-  { "percent", "number", "the margin in percent of the range, or of the only limit",
-    unit = "%", title = "%" },
+  {
+    "percent",
+    "number",
+    "the margin in percent of the range, or of the only limit",
+    unit = "%",
+    title = "%",
+  },
   { "note", "text", "why, or what else to know" },
-}
+}, "ok rule bus id source message frame seen worst margin percent note",
+  "ok rule who message seen worst margin percent note")
 --- The verdict `ok` of a row whose rule does not hold.
 M.FAILED = FAILED
 

@@ -14,10 +14,10 @@ local text_of = require "yapp.message.text"
 local M = {}
 
 --- The columns of its own output, see output.columns.
-M.COLUMNS = output.columns {
+M.COLUMNS = output.columns({
   { "file", "text", "the path of a table" },
   { "rows", "integer", "how many rows it has" },
-}
+}, "file rows")
 -- The columns in front of a message's own.
 local COMMON = {
   { name = "time", type = "time", unit = "s" },

@@ -6,6 +6,7 @@
 local band = require "yapp.base.bits".band
 local field_kinds = require "yapp.message.field_kinds"
 local groups = require "yapp.stat.groups"
+local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
 local lists = require "yapp.stat.lists"
@@ -31,43 +32,42 @@ local ENOUGH = 0.8 -- of the largest distance: the way back from it is as large
 local BEFORE, BEHIND = 10, 5 -- messages
 local MISSING = "there is no such fault: the capture has %d"
 
--- Sections: key, title, and columns: - for JSON alone, * for people alone.
-local MESSAGE = "since frame *who -bus -id -source -message values"
-local SECTIONS = {
-  { "flags", "Flags", "since -field flag help" },
-  { "changes", "Left its range of the ten seconds before",
-    "since frame message field flag from to unit times -at_fault" },
-  { "command", "The latest Command", MESSAGE },
-  { "others", "The other controllers", MESSAGE },
-  { "events", "Events within a second", "*since *frame *who *kind *details" },
-  { "messages", "The messages around it", MESSAGE },
-}
-local PLACES = { ["-"] = "json", ["*"] = "text window" }
-local COLUMNS = {
-  { "incident", "integer", "the number of the fault, from 1", where = "json" },
-  { "incidents", "integer", "how many faults there are", where = "json" },
-  { "time" },
-  { "rel" },
-  { "frame", where = "json text window" },
-  { "who" },
-  { "bus" },
-  { "id" },
-  { "source" },
-  { "message", where = "json text" },
-  { "active" },
+-- The sections of a card: their name and title, the keys of a row in JSON, nil for its own, and the
+-- columns for people.
+local KEYS, COLUMNS = "since frame bus id source message values", "since frame who values"
+local SECTIONS = input.rows("name title keys columns", {
+  { "flags", "Flags", "since field flag help", "since flag help" },
+  {
+    "changes",
+    "Left its range of the ten seconds before",
+    "since frame message field flag from to unit times at_fault",
+    "since frame message field flag from to unit times",
+  },
+  { "command", "The latest Command", KEYS, COLUMNS },
+  { "others", "The other controllers", KEYS, COLUMNS },
+  { "events", "Events within a second", nil, "since frame who kind details" },
+  { "messages", "The messages around it", KEYS, COLUMNS },
+})
+local ROWS = {
+  { "incident", "integer", "the number of the fault, from 1" },
+  { "incidents", "integer", "how many faults there are" },
+  "time",
+  "frame",
+  "bus",
+  "id",
+  "source",
+  "message",
+  "active",
 }
 for _, section in ipairs(SECTIONS) do
-  local columns = {}
-  for sign, name in section[3]:gmatch("([-*]?)(%S+)") do
-    insert(columns, { name, where = PLACES[sign] or "json text window" })
-  end
-  section.columns = output.columns(columns)
-  local keys = table.concat(section.columns.json, " ")
-  local help = ("%s: `%s`"):format(section[2], keys ~= "" and keys or "as in `events`")
-  insert(COLUMNS, { section[1], "list", help, where = "json" })
+  local help = ("%s: `%s`"):format(section.title, section.keys or "as in `events`")
+  insert(ROWS, { section.name, "list", help })
+  section.keys = section.keys and output.words(section.keys)
+  section.columns = output.columns({}, section.columns)
 end
 --- The columns, see output.columns.
-M.COLUMNS = output.columns(COLUMNS)
+M.COLUMNS = output.columns(ROWS, "time rel frame bus id source message active",
+  "rel frame who active")
 
 local Fault = { follows_changes = true }
 Fault.__index = Fault
@@ -77,8 +77,9 @@ Fault.__index = Fault
 --          in it, or the next one }
 function M.new(options, context)
   return setmetatable({
-    options = options,
     number = options.number or not options.frame and 1,
+    frame = options.frame,
+    is_first = not (options.number or options.frame), -- which need not exist
     context = context,
     count = 0, -- of faults
     cards = {}, -- by source: of its latest fault
@@ -94,14 +95,15 @@ local function is_message(event)
   return event.kind == "message"
 end
 
-local function add_fault(self, event)
-  local source, values = event.source, event.values
+-- Return the card of a fault, at its first event a new one.
+local function card_of(self, event)
+  local source, incident = event.source, event.values.incident
   local card = self.cards[source]
-  if not card or card.incident ~= values.incident then
+  if not card or card.incident ~= incident then
     self.count = self.count + 1
     card = {
       number = self.count,
-      incident = values.incident,
+      incident = incident,
       cause = event.cause, -- event of the first message with the fault
       flags = {}, -- events of the flags that rose
       last = nil, -- the latest event of one
@@ -110,8 +112,7 @@ local function add_fault(self, event)
     }
     self.cards[source] = card
   end
-  if values.event == "raised" then insert(card.flags, event) end
-  card.last = event
+  return card
 end
 
 -- Keep an event behind a fault, if its card shows it.
@@ -135,10 +136,13 @@ end
 function Fault:add_event(event)
   if not is_shown(event) then return end
   for _, card in pairs(self.cards) do keep(card, event) end
-  if event.kind == "fault" then add_fault(self, event) end
-  local card, new, frame = self.cards[event.source], self.new, self.options.frame
-  local has_fault = event.faults or event.kind == "fault"
-  if card and has_fault and (card.number == self.number or frame and event.frame >= frame) then
+  local card, new, frame = event.faults and self.cards[event.source], self.new, self.frame
+  if event.kind == "fault" then
+    card = card_of(self, event)
+    card.last = event
+    if event.values.event == "raised" then insert(card.flags, event) end
+  end
+  if card and (card.number == self.number or frame and event.frame >= frame) then
     self.card = self.card or card
   end
   if new[1] and event.time - new[1].time > BEFORE_FAULT then self.old, self.new = new, {} end
@@ -195,8 +199,8 @@ end
 
 -- Make a row of an event.
 local function new_row(card, event, row)
-  local seconds = output.seconds(math.floor((event.time - card.cause.time) * 1e9 + 0.5) / 1e9)
-  row.since, row.frame = { json = seconds.json, text = seconds.short }, event.frame
+  row.since, row.frame = output.seconds(event.time - card.cause.time), event.frame
+  row.since.text = row.since.short
   return row
 end
 
@@ -317,10 +321,10 @@ local function add_sources(rows, card)
   output.sort(rows.changes, function(row) return row.frame, -row.size end)
 end
 
--- Return the rows of the sections, by key.
+-- Return the rows of the sections, by name.
 local function find_rows(self, card, ending)
   local rows, cause = {}, card.cause
-  for _, section in ipairs(SECTIONS) do rows[section[1]] = {} end
+  for _, section in ipairs(SECTIONS) do rows[section.name] = {} end
   add_sources(rows, card)
   local function event_row(event)
     return new_row(card, event, lists.event_row(self.context, event, ending))
@@ -338,6 +342,7 @@ local function find_rows(self, card, ending)
 end
 
 -- Return the row of a card.
+-- rows  of the sections
 local function card_row(self, card, rows, lacks_times)
   local cause = card.cause
   local row = output.row(cause.source, {
@@ -349,38 +354,31 @@ local function card_row(self, card, rows, lacks_times)
     frame = cause.frame,
   })
   for _, section in ipairs(SECTIONS) do
-    local objects, keys = {}, section.columns.json
-    for i, one in ipairs(rows[section[1]]) do
-      objects[i] = output.object(keys[1] and keys or one.keys, one)
-    end
-    row[section[1]] = output.list(objects)
+    row[section.name] = output.objects(section.keys, rows[section.name])
   end
   return row
 end
 
--- Print the sections of a card for people.
-local function print_sections(context, rows)
-  for _, section in ipairs(SECTIONS) do
-    local list = rows[section[1]]
-    context.out(("\n%s%s\n"):format(section[2], list[1] and ":" or ": none"))
-    if list[1] then output.table(context, section.columns, list) end
-  end
-end
-
 --- End, see stat.answer.
 function Fault:finish(ending, notes)
-  local context, card, rows, row = self.context, self.card, nil, { incidents = self.count }
-  local title = "YAPP fault: " .. lists.count_text(self.count, ending)
-  if card then
-    rows = find_rows(self, card, ending)
-    row = card_row(self, card, rows, ending.lacks_times)
-    title = title:gsub(":", (": %d of"):format(card.number))
-  end
-  output.print(context, title, M.COLUMNS, (card or context.json) and { row } or {}, notes)
-  if card and not context.json then print_sections(context, rows) end
+  local context, card, count = self.context, self.card, lists.count_text(self.count, ending)
   local code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
-  if card or not (self.options.frame or self.options.number) then return code end
-  return output.EXIT_UNDECIDED, MISSING:format(self.count)
+  if not card then
+    local rows = context.json and { { incidents = self.count } } or {}
+    output.print(context, "YAPP fault: " .. count, M.COLUMNS, rows, notes)
+    if self.is_first then return code end
+    return output.EXIT_UNDECIDED, MISSING:format(self.count)
+  end
+  local rows = find_rows(self, card, ending)
+  local row = card_row(self, card, rows, ending.lacks_times)
+  local title = ("YAPP fault: %d of %s"):format(card.number, count)
+  output.print(context, title, M.COLUMNS, { row }, notes)
+  for _, section in ipairs(context.json and {} or SECTIONS) do
+    local list = rows[section.name]
+    context.out(("\n%s%s\n"):format(section.title, list[1] and ":" or ": none"))
+    if list[1] then output.table(context, section.columns, list) end
+  end
+  return code
 end
 
 return M

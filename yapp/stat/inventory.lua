@@ -13,23 +13,24 @@ local object, words = output.object, output.words
 -- low and high are the bounds of a compressed float.  kind, bits and values are for integers only:
 -- the type, and the meaning of its numbers.
 local COLUMN_KEYS = words("name unit type filter title low high kind bits values")
--- Of a value that is worked out from two fields; of the differences the operator is "-".
+-- Of a value that is worked out from two fields.
 local FORMULA_KEYS = words("name of operator less unit title")
 local KIND_KEYS = words("name text keys counts_as scope hides needs_time is_optional " ..
   "is_counted_only")
 local INVENTORY_KEYS = words("version plugin messages statistics kinds rules fields experts " ..
   "preferences")
 
--- Return a list of objects.
--- values_of  function(row) -> its values by key; nil if the row has them
+-- Return a list of an object for each row.
+-- values_of  function(row) -> its values by key
 local function list(rows, keys, values_of)
-  local objects = {}
-  for i, row in ipairs(rows) do objects[i] = object(keys, values_of and values_of(row) or row) end
-  return output.list(objects)
+  local values = {}
+  for i, row in ipairs(rows) do values[i] = values_of(row) end
+  return output.objects(keys, values)
 end
 
--- Return a list of objects whose values stand in the rows in the order of the keys.
-local function list_in_order(rows, keys)
+-- The same of rows whose values, which become texts, stand in the order of the keys.
+local function list_in_order(rows, names)
+  local keys = words(names)
   return list(rows, keys, function(row)
     local values = {}
     for i, key in ipairs(keys) do values[key] = tostring(row[i]) end
@@ -78,16 +79,11 @@ local function formula_values(item)
 end
 
 local function describe_message(message_type, columns)
-  local formulas, differences = message_type.generated, {}
-  for _, item in ipairs(formulas) do
-    if item.is_difference then differences[#differences + 1] = item end
-  end
-  return object(words("title every columns differences formulas"), {
+  return object(words("title every columns formulas"), {
     title = message_type.title,
     every = message_type.every,
     columns = list(columns, COLUMN_KEYS, column_values),
-    differences = list(differences, FORMULA_KEYS, formula_values),
-    formulas = list(formulas, FORMULA_KEYS, formula_values),
+    formulas = list(message_type.generated, FORMULA_KEYS, formula_values),
   })
 end
 
@@ -111,11 +107,11 @@ function M.describe(settings, columns_of, statistics)
       return describe_message(message_type, columns_of(message_type))
     end),
     statistics = by_name(statistics, describe_statistic),
-    kinds = list(kinds.LIST, KIND_KEYS),
-    rules = list(rules.LIST, words("name text help needs_time")),
-    fields = list_in_order(published.fields, words("name type title help")),
-    experts = list_in_order(published.experts, words("name title group severity")),
-    preferences = list_in_order(published.preferences, words("name type title default help")),
+    kinds = output.objects(KIND_KEYS, kinds.LIST),
+    rules = output.objects(words("name text help needs_time"), rules.LIST),
+    fields = list_in_order(published.fields, "name type title help"),
+    experts = list_in_order(published.experts, "name title group severity"),
+    preferences = list_in_order(published.preferences, "name type title default help"),
   }).json
 end
 

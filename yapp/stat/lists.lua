@@ -4,68 +4,69 @@
 
 local buses = require "yapp.stat.buses"
 local input = require "yapp.base.input"
-local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 
 local M = {}
 
-local ALL = "json text window"
-local WHEN = { { "time" }, { "rel" }, { "frame", where = ALL } }
 -- Kinds of events that may come often: in a window one line for each source and kind.
 local MERGED = input.set("clock missing dropped stale crc incomplete unfinished skipped invalid")
 local MORE = ", %d times up to %.3f s"
--- JSON has it where it is, behind the other keys.
-local NEAR = { "near", "string", "the bus events within a second of a fault, a silence or a loss",
-  where = "text window" }
-local KIND = { "kind", "string",
-  "what happened: `fault`, `reboot`, `silence` and others, see statistics.md",
-  where = "json" }
--- A line of JSON has the keys of its kind alone, see stat.kinds.
-local EVENTS = output.columns(joined({ KIND }, WHEN, {
-  { "bus", where = ALL },
-  { "id", where = ALL },
-  { "source", where = ALL },
-  { "message", where = "json text" },
-  { "kind", where = "text", title = "event" },
-  { "details", where = "text window" },
+-- Behind the other keys, where it is.
+local NEAR = { "near", "string", "the bus events within a second of a fault, a silence or a loss" }
+local EVENTS = output.columns({
+  {
+    "kind",
+    "string",
+    "what happened: `fault`, `reboot`, `silence` and others, see statistics.md",
+    title = "event",
+  },
+  "time",
+  "frame",
+  "bus",
+  "id",
+  "source",
+  "message",
   -- The values of the kinds:
-  { "field", where = "" },
-  { "flag", where = "" },
-  { "event", where = "" },
-  { "active", where = "" },
-  { "length", "seconds",
+  "field",
+  "flag",
+  "event",
+  "active",
+  {
+    "length",
+    "seconds",
     "of a silence, a jump, a step of the clock or `disabled`; of `skipped`: bytes",
-    unit = "s", where = "" },
-  { "what", "string", "of `incomplete`: what was wrong with it", where = "" },
-  { "value", "text", "of `invalid`: what the field had", where = "" },
-  { "size", "integer", "of `unknown`: bytes of each message", where = "" },
-  { "count", "integer", "how many messages or packets; null for one", where = "" },
-  { "like", "string", "of `unknown`: the message that has this size", where = "" },
+    unit = "s",
+  },
+  { "what", "string", "of `incomplete`: what was wrong with it" },
+  { "value", "text", "of `invalid`: what the field had" },
+  { "size", "integer", "of `unknown`: bytes of each message" },
+  { "count", "integer", "how many messages or packets; null for one" },
+  { "like", "string", "of `unknown`: the message that has this size" },
   NEAR,
-}))
-local FAULTS = output.columns(joined(WHEN, {
-  { "who" },
-  { "bus" },
-  { "id" },
-  { "source" },
-  { "message", where = "json text" },
-  { "field", where = "json text" },
-  { "flag" },
-  { "event" },
-  { "active" },
-  { "help", "string", "what the catalogue says of the flag", where = "json" },
+}, "time rel frame bus id source message kind details near",
+  "rel frame bus id source details near")
+local FAULTS = output.columns({
+  "time",
+  "frame",
+  "bus",
+  "id",
+  "source",
+  "message",
+  "field",
+  "flag",
+  "event",
+  "active",
+  { "help", "string", "what the catalogue says of the flag" },
   NEAR,
-}))
+}, "time rel frame bus id source message field flag event active near",
+  "rel frame who flag event active near")
 --- The columns of both, see output.columns.
 M.COLUMNS = { events = EVENTS, faults = FAULTS }
 
--- The keys of a line of JSON, by kind.
-local KEYS_OF_KIND = {}
-for _, row in ipairs(kinds.LIST) do
-  KEYS_OF_KIND[row.name] = joined(EVENTS.json, output.words(row.keys or ""))
-end
+local EVENT_KEYS = "kind time frame bus id source message " -- and those of its kind
+local FAULT_KEYS = "time frame bus id source message field flag event active help"
 
 local Lists = { follows_changes = true }
 Lists.__index = Lists
@@ -93,22 +94,26 @@ function Lists:add_event(event)
   if is_listed or kind == "fault" then self.list[#self.list + 1] = event end
 end
 
---- Return the row of an event; its keys are those of a line of `events`.
-function M.event_row(context, event, ending)
-  local kind, time = event.kind, event.time
+--- Return the row of an event.
+-- near  text of the bus events near it, nil for none
+-- keys  of its line of JSON, nil for those of `events`
+function M.event_row(context, event, ending, near, keys)
+  local kind, time = kinds.BY_NAME[event.kind], event.time
+  keys = keys or EVENT_KEYS .. (kind.keys or "")
   local row = {
-    kind = kind,
+    kind = kind.name,
     frame = event.frame,
     time = time and context.dates:value(time),
     rel = output.seconds(time),
-    keys = KEYS_OF_KIND[kind],
+    near = near,
+    keys = output.words(near and keys .. " near" or keys),
   }
   for key, value in pairs(event.values) do
     row[key] = value
   end
   if ending.lacks_times then row.active, row.after = nil, nil end
   local function fill(key) return output.text(row[key], true) end
-  row.details = kinds.BY_NAME[kind].text:gsub("{(%w+)}", fill) .. (event.more or "")
+  row.details = kind.text:gsub("{(%w+)}", fill) .. (event.more or "")
   return output.row(event.source, row)
 end
 
@@ -151,7 +156,7 @@ end
 
 --- End, see stat.answer.
 function Lists:finish(ending, notes)
-  local what, list, code = self.what, {}, nil
+  local context, what, list, rows, code = self.context, self.what, {}, {}, nil
   for _, event in ipairs(self.list) do
     local is_sure = not (ending.lacks_times and kinds.BY_NAME[event.kind].needs_time)
     if is_sure then list[#list + 1] = event end
@@ -160,19 +165,16 @@ function Lists:finish(ending, notes)
   if what == "events" then
     -- Events without a packet come last.
     output.sort(list, function(event) return event.frame or math.huge end)
-    if self.context.frames and not self.context.json then list = merge(list) end
+    if context.frames and not context.json then list = merge(list) end
   else
     count = M.count_text(count_incidents(list), ending)
     code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
   end
-  local title = ("YAPP %s: %s"):format(what, count)
-  output.print(self.context, title, M.COLUMNS[what], list, notes, function(event)
-    local row = M.event_row(self.context, event, ending)
-    if what == "faults" then row.keys = FAULTS.json end
-    row.near = buses.near(event, self.bus_events)
-    if row.near then row.keys = joined(row.keys, { "near" }) end
-    return row
-  end)
+  local keys = what == "faults" and FAULT_KEYS
+  for i, event in ipairs(list) do
+    rows[i] = M.event_row(context, event, ending, buses.near(event, self.bus_events), keys)
+  end
+  output.print(context, ("YAPP %s: %s"):format(what, count), M.COLUMNS[what], rows, notes)
   return code
 end
 

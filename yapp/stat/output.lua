@@ -126,76 +126,79 @@ function M.words(text)
   return list
 end
 
--- Columns of several statistics: their rows name them by the key.
-local COMMON = {
-  time = {
-    where = "json text",
-    type = "time",
-    title = "time (UTC)",
-    help = "when it happened, UTC; null where nothing came",
-  },
-  rel = { where = "text window", title = "since start/s", short = "at/s" },
-  frame = { where = "json text", type = "integer", help = "the packet that shows it" },
-  who = { where = "window", title = "source" },
-  bus = {
-    where = "json text",
-    type = "string",
-    help = "the bus or line; null where the capture names none",
-  },
-  id = {
-    where = "json text",
-    type = "id",
+-- Columns of several statistics, by name; those without a type are for people alone.
+local COMMON = {}
+for _, column in ipairs(input.rows("name type help", {
+  { "time", "time", "when it happened, UTC; null where nothing came", title = "time (UTC)" },
+  { "rel", title = "since start/s", short = "at/s" },
+  { "frame", "integer", "the packet that shows it" },
+  { "who", title = "source" }, -- bus, ID and name in one column
+  { "bus", "string", "the bus or line; null where the capture names none" },
+  {
+    "id",
+    "id",
+    "the message ID; null where the event is of the whole capture",
     title = "ID",
-    help = "the message ID; null where the event is of the whole capture",
   },
-  source = {
-    where = "json text",
-    type = "string",
-    help = "the name that `yapp.sources` gives to the ID; null without a name",
+  {
+    "source",
+    "string",
+    "the name that `yapp.sources` gives to the ID; null without a name",
   },
-  message = {
-    type = "string",
-    help = "the message's name in the catalogue; null if the catalogue has none",
+  {
+    "message",
+    "string",
+    "the message's name in the catalogue; null if the catalogue has none",
   },
-  field = { type = "string", help = "the flags or the enum concerned" },
-  flag = { type = "string", help = "of a fault: the flag" },
-  event = {
-    type = "string",
-    help = "of a fault: `raised`, `cleared`, or `active` at the end",
-  },
-  active = {
-    type = "seconds",
+  { "field", "string", "the flags or the enum concerned" },
+  { "flag", "string", "of a fault: the flag" },
+  { "event", "string", "of a fault: `raised`, `cleared`, or `active` at the end" },
+  {
+    "active",
+    "seconds",
+    "of a fault: how long it was there; null for `raised`",
     unit = "s",
-    help = "of a fault: how long it was there; null for `raised`",
   },
-}
+})) do
+  COMMON[column.name] = column
+end
 
---- Read the columns of a table, a row each, in their order.
--- rows     list of { name, type, help,
---            where  the places that show it: "json", "text", "window", or several of them; nil
---                   for all
+--- Describe the columns of a table.
+-- rows     the name of a column of COMMON, or { name, type, help,
 --            type   in JSON: "integer", "id", "number", "seconds", "time" (seconds since 1970),
 --                   "boolean", "string" (one of a few), "text", "values" (an object by field) or
---                   "list"; nil if JSON has it in no line
+--                   "list"; nil for a column that JSON does not have
+--            help   its meaning: for fields.json and the pages that follow it
 --            unit   of a number, or nil
---            title  above it, nil for the name and the unit; short = the same in a window
---            help   its meaning: for fields.json and the pages that follow it };
---          COMMON has the rest
+--            title  above it, nil for the name and the unit; short = the same in a window } each
+-- text     the names of the columns that people read, in their order
+-- window   the same in a window, which is narrow; nil for the same columns
 -- returns  { json = list of names, text, window = lists of { name, title }, all = all rows }
-function M.columns(rows)
-  local columns = { json = {}, text = {}, window = {}, all = {} }
-  for i, row in ipairs(input.rows("name type help", rows)) do
-    local name, column = row.name, { where = "json text window" }
-    for option, value in pairs(COMMON[name] or {}) do column[option] = value end
-    for option, value in pairs(row) do column[option] = value end
-    column.title = column.title or column.unit and name .. "/" .. column.unit or name
-    columns.all[i] = column
-    for place in column.where:gmatch("%l+") do
-      local title = place == "window" and column.short or column.title
-      table.insert(columns[place], place == "json" and name or { name = name, title = title })
+function M.columns(rows, text, window)
+  local by_name, columns = setmetatable({}, { __index = COMMON }), { json = {}, all = {} }
+  for i, row in ipairs(rows) do
+    local column = COMMON[row] or input.rows("name type help", { row })[1]
+    columns.all[i], by_name[column.name] = column, column
+    if column.type then table.insert(columns.json, column.name) end
+  end
+  for place, names in pairs { text = text, window = window or text } do
+    columns[place] = M.words(names)
+    for i, name in ipairs(columns[place]) do
+      local column = by_name[name] or {}
+      local title = column.title or column.unit and name .. "/" .. column.unit or name
+      columns[place][i] = { name = name, title = place == "window" and column.short or title }
     end
   end
   return columns
+end
+
+--- A list of an object for each row; its keys are those given, or its own.
+function M.objects(keys, rows)
+  local objects = {}
+  for i, row in ipairs(rows) do
+    objects[i] = M.object(keys or row.keys, row)
+  end
+  return M.list(objects)
 end
 
 local DESCRIBED = M.words("name type unit title help")
@@ -205,9 +208,9 @@ local DESCRIBED = M.words("name type unit title help")
 function M.describe(columns)
   local list = {}
   for _, column in ipairs(columns.all) do
-    if column.type then list[#list + 1] = M.object(DESCRIBED, column) end
+    if column.type then list[#list + 1] = column end
   end
-  return M.list(list)
+  return M.objects(DESCRIBED, list)
 end
 
 -- Return the width of a text: in characters, not bytes.
@@ -253,8 +256,8 @@ function M.sortable(name)
 end
 
 --- Print a table with aligned columns, a line a row.
--- context, columns, rows, row_of  see M.print
-function M.table(context, columns, rows, row_of)
+-- context, columns, rows  see M.print
+function M.table(context, columns, rows)
   local frames, titles, cells = context.frames, {}, {}
   local lines = { titles }
   for i, column in ipairs(frames and columns.window or columns.text) do
@@ -262,8 +265,8 @@ function M.table(context, columns, rows, row_of)
     titles[i] = title
     cells[i] = { name = column.name, width = width_of(title), is_number = true, is_empty = true }
   end
-  for _, one in ipairs(rows) do
-    local row, texts = row_of and row_of(one) or one, {}
+  for _, row in ipairs(rows) do
+    local texts = {}
     for i, column in ipairs(cells) do
       local text = M.text(row[column.name], frames)
       texts[i] = text
@@ -283,17 +286,15 @@ end
 -- columns  of M.columns; a row may have keys of its own for its line of JSON, row.keys
 -- rows     tables by key
 -- notes    a list of texts
--- row_of   function(one) -> a row, if rows are made only when they are printed: many take memory
-function M.print(context, title, columns, rows, notes, row_of)
+function M.print(context, title, columns, rows, notes)
   local out = context.out
   if not context.json then
     out(table.concat(joined({ title }, notes), "\n") .. "\n")
     if not rows[1] then return end
     out("\n")
-    return M.table(context, columns, rows, row_of)
+    return M.table(context, columns, rows)
   end
-  for _, one in ipairs(rows) do
-    local row = row_of and row_of(one) or one
+  for _, row in ipairs(rows) do
     out(M.object(row.keys or columns.json, row).json .. "\n")
   end
 end

@@ -8,6 +8,7 @@
 local buses = require "yapp.stat.buses"
 local check = require "yapp.stat.check"
 local groups = require "yapp.stat.groups"
+local joined = require "yapp.base.joined"
 local judge = require "yapp.stat.judge"
 local kinds = require "yapp.stat.kinds"
 local lists = require "yapp.stat.lists"
@@ -19,29 +20,25 @@ local M = {}
 local CHARACTER = "[^\128-\191][\128-\191]*" -- of UTF-8
 local CLEAR, RED, NORMAL = "\27[H\27[J", "\27[31m", "\27[m"
 
-local COLUMNS = output.columns {
-  { "time", "time", "of the latest packet", where = "json" },
-  { "sources", "list",
-    "the keys of `summary`, `hz`, `age`, `faults`, the latest fault and its time",
-    where = "json" },
-  { "rules", "list", "the keys of `check`", where = "json" },
-  { "buses", "list", "the keys of `buses`", where = "json" },
-}
 --- The columns, see output.columns.
-M.COLUMNS = COLUMNS
--- The table: a line for each source.
-local TABLE = output.columns {
-  { "who", where = "text" },
-  { "message", where = "text" },
-  { "count", where = "text" },
-  { "hz", where = "text", title = "Hz" },
-  { "age", where = "text", title = "age/s" },
-  { "faults", where = "text" },
-  { "limit", where = "text", title = "nearest limit" },
-  { "values", where = "text" }, -- at last, as the terminal may cut it
-}
-local SOURCE_KEYS = output.words(table.concat(summary.COLUMNS.json, " ") .. " " ..
-  "hz age faults latest_fault latest_fault_time")
+M.COLUMNS = output.columns({
+  { "time", "time", "of the latest packet" },
+  {
+    "sources",
+    "list",
+    "the keys of `summary`, `hz`, `age`, `faults`, the latest fault and its time",
+  },
+  { "rules", "list", "the keys of `check`" },
+  { "buses", "list", "the keys of `buses`" },
+}, "")
+-- The table: a line for each source; the values at last, as the terminal may cut them.
+local TABLE = output.columns({
+  { "hz", title = "Hz" },
+  { "age", title = "age/s" },
+  { "limit", title = "nearest limit" },
+}, "who message count hz age faults limit values")
+local SOURCE_KEYS = joined(summary.COLUMNS.json,
+  output.words("hz age faults latest_fault latest_fault_time"))
 
 local Watch = { follows_changes = true }
 Watch.__index = Watch
@@ -54,8 +51,8 @@ function M.new(options, context)
   return setmetatable({
     options = options,
     context = context,
-    check = check.new(options, context), -- it counts, too
-    summary = context.json and summary.new(options, context), -- people do not read the ranges
+    check = check.new(options, context),
+    summary = summary.new(options, context),
     faults = lists.new({ what = "faults" }, context),
     buses = buses.new(options, context),
     raised = {}, -- by source: event of the latest fault that was raised
@@ -69,7 +66,7 @@ end
 --- Add an event, see stat.answer.
 function Watch:add_event(event)
   self.check:add_event(event)
-  if self.summary then self.summary:add_event(event) end
+  self.summary:add_event(event)
   if event.kind == "message" then return end
   self.faults:add_event(event)
   self.buses:add_event(event)
@@ -103,47 +100,44 @@ end
 local function add_faults(self, row, group)
   local names, raised = {}, self.raised[group.source]
   for i, fault in ipairs(group.last.faults or kinds.NOTHING) do names[i] = fault.flag.name end
-  local text = table.concat(names, ", ")
-  row.has_faults = names[1] ~= nil
+  row.faults = { json = output.list(names).json, text = table.concat(names, ", ") }
   if raised then
     local time = self.context.dates:value(raised.time)
     row.latest_fault, row.latest_fault_time = raised.values.flag, time
-    if text == "" then text = ("(%s at %s)"):format(row.latest_fault, time.text:sub(12, 19)) end
+    if not names[1] then
+      row.faults.text = ("(%s at %s)"):format(row.latest_fault, time.text:sub(12, 19))
+    end
   end
-  for i, name in ipairs(names) do names[i] = { json = output.value(name) } end
-  row.faults = { json = output.list(names).json, text = text }
+  return names[1] ~= nil
 end
 
--- Add the limit that the latest values are nearest to.
+-- Add the limit that the latest values are nearest to; return whether they are outside.
 local function add_limit(self, row, group)
   local found = judge.latest(self.check.by_source[group.source].values, group.last.frame)
-  if not found then return end
-  row.is_outside = found.share < 0
-  local shape = row.is_outside and "%s %.6g OUTSIDE %s" or "%s %.6g in %s"
+  if not found then return false end
+  local is_outside = found.share < 0
+  local shape = is_outside and "%s %.6g OUTSIDE %s" or "%s %.6g in %s"
   row.limit = shape:format(found.rule.field.name, found.value, found.rule.limit)
+  return is_outside
 end
 
--- Return the row of a source with good messages; for JSON it has the keys of `summary`, too.
+-- Return the row of a source with good messages.
 local function row_of(self, group, ending)
-  local source, last, message_type = group.source, group.last, group.type
-  local row = self.summary and summary.row(group, ending) or output.row(source, {
-    count = group.count,
-    values = last.raws and message_type.info(last.raws),
-  })
+  local row, last, message_type = summary.row(group, ending), group.last, group.type
   local age, every = ending.length_since(last), message_type and message_type.every
   local is_silent = every and age > self.context.settings.late * every
   local hz = rate_of(self, group)
+  row.values.text = last.raws and message_type.info(last.raws)
   row.hz, row.age = hz and tonumber(("%.4g"):format(hz)), output.seconds(age)
   row.age.text = row.age.short .. (is_silent and " SILENT" or "")
-  add_faults(self, row, group)
-  add_limit(self, row, group)
-  row.is_red = is_silent or row.is_outside or row.has_faults
+  local has_faults, is_outside = add_faults(self, row, group), add_limit(self, row, group)
+  row.is_red = is_silent or has_faults or is_outside
   return row
 end
 
 local function rows_of(self, ending)
   local rows = {}
-  for _, group in ipairs((self.summary or self.check):sort()) do
+  for _, group in ipairs(self.summary:sort()) do
     if group.last then rows[#rows + 1] = row_of(self, group, ending) end
   end
   output.sort(rows, function(row) return output.sortable(row.who) end)
@@ -152,19 +146,12 @@ end
 
 -- Output ------------------------------------------------------------------------------------------
 
--- Return a list of rows with these keys as JSON.
-local function list_of(rows, keys)
-  local objects = {}
-  for i, row in ipairs(rows) do objects[i] = output.object(keys, row) end
-  return output.list(objects)
-end
-
 local function print_json(self, rows, rules, bus_rows, ending)
-  self.context.out(output.object(COLUMNS.json, {
+  self.context.out(output.object(M.COLUMNS.json, {
     time = ending.last and self.context.dates:value(ending.last),
-    sources = list_of(rows, SOURCE_KEYS),
-    rules = list_of(rules, check.COLUMNS.json),
-    buses = list_of(bus_rows, buses.COLUMNS.json),
+    sources = output.objects(SOURCE_KEYS, rows),
+    rules = output.objects(check.COLUMNS.json, rules),
+    buses = output.objects(buses.COLUMNS.json, bus_rows),
   }).json .. "\n")
 end
 

@@ -188,7 +188,8 @@ def _shown(flights: Sequence[Good]) -> Iterator[Finding]:
     """Yield what the values of good flights show, where they differ at all: ranges say the rest."""
     for (source, message), found in _by_source(flights).items():
         entry, one = flights[0].fields["messages"][message], found[0][1]
-        for finding in [*_noises(message, found), *_under_load(message, found, entry["differences"], one.every)]:
+        differences = [row for row in entry["formulas"] if row["operator"] == "-"]
+        for finding in [*_noises(message, found), *_under_load(message, found, differences, one.every)]:
             if len({end for low, high, _ in finding.found for end in (low, high)}) > 1:
                 finding.source = source
                 yield finding

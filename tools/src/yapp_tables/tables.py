@@ -104,9 +104,9 @@ def _columns(message: str, entry: Record) -> list[Column]:
     given = {each["name"]: each for each in entry["columns"] if each["name"] not in HEAD and each["name"] != CRC_GOOD}
     columns = [_column(each, given) for each in given.values()]
     is_number = {column.name: column.role == "value" for column in columns}
-    for each in entry.get("differences") or ():
+    for each in entry.get("formulas") or ():
         name, parts = each["name"], (each["of"], each["less"])
-        if all(is_number.get(part) for part in parts) and name not in given:
+        if each["operator"] == "-" and all(is_number.get(part) for part in parts) and name not in given:
             about = {"title": each["title"], "unit": each["unit"] or "", "filter": f"taurus.{message}.{name}"}
             columns.append(Column(name, pa.float64(), "value", difference=parts, **about))
     return columns
