@@ -8,8 +8,8 @@ DEMO := docs/first.pcapng
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
-.PHONY: demo test test-all unit coverage unit-5.2 unit-5.4 unit-5.5 map e2e lint install uninstall dist release soak matrix \
-  fuzz mutate valgrind bench screenshots regenerate \
+.PHONY: demo test test-all unit unit-5.2 unit-5.4 unit-5.5 map e2e lint install uninstall dist release soak matrix \
+  fuzz mutate bench screenshots regenerate \
   needs-tshark needs-python needs-hatchling needs-tests needs-bench
 
 # $(call install-missing,commands that must be there,packages that bring them,another condition)
@@ -57,7 +57,7 @@ test: lint unit e2e
 
 ## What CI runs: everything on this machine's Wireshark with its memory checked (docs/reliability.md), the other ones of 4.0,
 ## 4.4 and 4.6, each by both loading routes, and some fuzzing: in twenty minutes.  What takes a night has targets of its own:
-## soak, fuzz, mutate, valgrind, YAPP_LEVEL=all tests/matrix
+## soak, fuzz, mutate, YAPP_LEVEL=all tests/matrix
 test-all:
 	tests/anyone
 	YAPP_STRICT=1 YAPP_LEVEL=all $(MAKE) test
@@ -80,10 +80,6 @@ unit-5.2 unit-5.4: unit-%:
 unit-5.5:
 	@if command -v lua5.5 >/dev/null; then lua5.5 tests/unit/run.lua tests/unit/test_*.lua; \
 	else echo "Lua 5.5: left out, there is no lua5.5"; fi
-
-## Which lines of the pure modules the unit tests run; fails below 98 %
-coverage: needs-tests
-	lua5.4 tests/unit/coverage.lua
 
 ## Which folder of modules requires which: the picture of CONTRIBUTING.md
 map: needs-python
@@ -124,11 +120,6 @@ fuzz: needs-tests
 ## Faults put into the modules that need no Wireshark, EACH=20 in each, SEED=1: prints the share that the unit tests see
 mutate: needs-tests
 	/usr/bin/env python3 tests/mutate.py --each $(or $(EACH),20) --seed $(or $(SEED),1)
-
-## Ten captures under valgrind: no error in memory that comes of Lua
-valgrind: needs-tests
-	$(call install-missing,valgrind,valgrind)
-	/usr/bin/env python3 tests/valgrind.py
 
 ## Beside its peers, on this tshark and on 4.6 (tests/matrix makes its chroot), into docs/BENCH.md: RUNS=5, BASE=folder another version
 bench: needs-bench

@@ -25,8 +25,7 @@ local types, new_field = {}, ProtoField.new -- types: by ProtoField, of those pl
 function ProtoField.new(title, filter, field_type, ...)
   local field = new_field(title, filter, field_type, ...)
   list("field", filter)
-  local is_value = filter:find("^taurus") and field_type == ftypes.DOUBLE
-  if is_planted("field", filter) or kind == "carrier" and is_value then types[field] = field_type end
+  if is_planted("field", filter) then types[field] = field_type end
   return field
 end
 
@@ -52,8 +51,6 @@ local function other(field_type, value, range, is_little)
   return length > 0 and length <= 4 and (is_little and range:le_uint() or range:uint()) + 1 or nil
 end
 
-local carrier -- of the packet that is being dissected
-
 -- The arguments behind a field, with a wrong value: without a range, with one, or a range alone.
 local function spoil_arguments(field_type, is_little, count, range, value, ...)
   if not is_range(range) then return other(field_type, range), value, ... end
@@ -67,7 +64,7 @@ for _, method in ipairs { "add", "add_le" } do
   local add = TreeItem[method]
   TreeItem[method] = function(item, field, ...)
     local field_type = types[field]
-    if not field_type or kind == "carrier" and carrier ~= name then return add(item, field, ...) end
+    if not field_type then return add(item, field, ...) end
     if field_type == ftypes.NONE then return item end
     return add(item, field, spoil_arguments(field_type, method == "add_le", select("#", ...), ...))
   end
@@ -215,99 +212,4 @@ if kind == "key" or kind == "event" or kind == "column" or kind == "csv" or not 
       return write_file(file, spoiled(...))
     end
   end
-end
-
--- Kinds of source ---------------------------------------------------------------------------------
-
--- What carries a packet, as one dissector is called and its packet says.
-local TRANSPORTS = { [2] = "TCP", [3] = "UDP", [8] = "USB" }
-local CAN = { yapp = true, yapp_all = true }
-for _, title in ipairs { "CAN", "CAN FD", "TCP", "UDP", "USB", "serial" } do list("carrier", title) end
-
--- Have a function stand in for one that is set in objects of a class.
-local function on_set(class, wanted, stand_in)
-  local set = class.__newindex
-  function class.__newindex(object, key, value)
-    return set(object, key, key == wanted and stand_in(value, object) or value)
-  end
-end
-
-if kind == "carrier" then
-  on_set(getmetatable(Proto("plant", "Plant")), "dissector", function(dissect, proto)
-    local is_can = CAN[proto.name:lower()]
-    return function(tvb, pinfo, root)
-      carrier = is_can and (tvb:reported_len() > 8 and "CAN FD" or "CAN") or TRANSPORTS[pinfo.port_type] or "serial"
-      return dissect(tvb, pinfo, root)
-    end
-  end)
-end
-
--- Files ------------------------------------------------------------------------------------------
-
--- Of a record that a reader of ours reads the last byte, or the time: by the form of the text, its pattern, and whether
--- it has no times.
-local FORMS = {
-  yapp_asc = { { "hex", "base hex" }, { "dec", "base dec" }, { "FD", "CANFD" } },
-  yapp_dump = { { "bytes", "" } },
-  yapp_candump = {
-    { "log", "^%b() %S+ %x+#%x" }, { "log FD", "^%b() %S+ %x+##" }, { "long", "^%b()  %S+  %x" },
-    { "screen", "^%s*can%d%s+%x+%s+%[8%]%s+%x%x%s", true }, { "times", "^ %(%d+%.%d+%)  can" },
-    { "dates", "^ %(%d%d%d%d%-" }, { "direction", "^ .-[TR]X [B-] " }, { "colours", "^ *\27" },
-  },
-}
-
-local function title_of(reader, form)
-  return reader:gsub("^yapp_", "") .. " " .. form
-end
-
-local new_handler = FileHandler.new
-local handlers = getmetatable(new_handler("plant", "plant", "plant", "r"))
-local names = {} -- by handler
-function FileHandler.new(title, short, ...)
-  for _, form in ipairs(FORMS[short] or {}) do
-    list("file", title_of(short, form[1]))
-    if not form[3] then list("stamp", title_of(short, form[1])) end
-  end
-  local made = new_handler(title, short, ...)
-  names[made] = short
-  return made
-end
-if kind == "file" or kind == "stamp" then
-  on_set(handlers, "read_open", function(open, handler)
-    return function(file, ...)
-      local text = file:read(2000) or ""
-      file:seek("set", 0)
-      local is_open = open(file, ...)
-      if is_open then carrier = names[handler] end
-      for _, form in ipairs(is_open and FORMS[carrier] or {}) do
-        if text:find(form[2]) then carrier = title_of(names[handler], form[1]) end
-      end
-      return is_open
-    end
-  end)
-  local function spoil_record(wanted, change)
-    local records = debug.getregistry().FrameInfo
-    local set = records.__newindex
-    function records.__newindex(record, key, value)
-      if key == wanted and carrier == name then value = change(value) end
-      return set(record, key, value)
-    end
-  end
-  if kind == "file" then
-    spoil_record("data", function(data)
-      return data:sub(1, -2) .. string.char((data:byte(-1) + 1) % 256)
-    end)
-  else
-    spoil_record("time", function(time) return NSTime.new(time.secs + 1, time.nsecs) end)
-  end
-end
-
--- Menus -------------------------------------------------------------------------------------------
-
-local register_menu_item, first = register_menu, nil
-function _G.register_menu(title, action, ...)
-  list("menu", title)
-  if is_planted("menu", title) then action = first or function() end end
-  first = first or action
-  return register_menu_item(title, action, ...)
 end

@@ -32,7 +32,7 @@ import tshark
 
 pytestmark = levels.without_tshark("of the live ports, most of which run no tshark")
 
-EXTCAP = next(root / "extcap/yapp_extcap.py" for root in (tshark.PLUGIN, tshark.ROOT) if (root / "extcap").exists())
+EXTCAP = tshark.ROOT / "extcap/yapp_extcap.py"
 # YAPP_PYTHON: one with python-can and pyserial, where the system's has none.
 PYTHON = os.environ.get("YAPP_PYTHON") or ("/usr/bin/python3" if os.path.exists("/usr/bin/python3") else sys.executable)
 FRAME = bytes.fromhex("5950000010020000 20000000 FD7FFD7FFD7FFD7FF5AFFD7F1801 00000140 00000000 E38CD23CE04E0000 05FF BBBE6FC7")

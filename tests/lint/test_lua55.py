@@ -7,60 +7,28 @@ import pytest
 
 TOP = pathlib.Path(__file__).resolve().parents[2]
 SOURCES = [TOP / "yapp.lua", TOP / "taurus_fields.lua", *sorted(TOP.glob("yapp/**/*.lua"))]
-TOKEN = re.compile(r"--\[(=*)\[.*?\]\1\]|--[^\n]*|\[(=*)\[.*?\]\2\]|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'|"
-                   r"\w+|\.\.\.|[=~<>]=|\S", re.S)
-OPENS, STATEMENT_ENDS = {"do", "function", "if", "repeat"}, {".", ":", "]", ")"}
 
 
 def assigned(text):
-    """The lines on which a control variable is assigned to."""
-    tokens = [one for one in TOKEN.finditer(text) if not one[0].startswith("--")]
-    words, blocks, waiting, found = [one[0] for one in tokens], [], None, []
-    for at, word in enumerate(words):
-        if word == "for":
-            waiting = words[at + 1]
-        elif word in OPENS:
-            blocks.append((word, waiting if word == "do" else None, set()))
-            waiting = None if word == "do" else waiting
-        elif word in ("end", "until") and blocks:
-            blocks.pop()
-        elif words[at - 1] == "local" and blocks:
-            blocks[-1][2].add(word)
-        is_target = words[at + 1:at + 2] == ["="] or words[at + 1:at + 2] == [","] and is_list(words, at)
-        if is_target and words[at - 1] not in (".", "local", "{", "for") and is_control(blocks, word) and is_statement(words, at):
-            found.append(text.count("\n", 0, tokens[at].start()) + 1)
+    """The lines on which a control variable is assigned to: they stand deeper than the line of their loop."""
+    loops, found = [], []  # loops: (indent, names)
+    for number, line in enumerate(text.split("\n"), 1):
+        line = re.sub(r"--.*", "", line).rstrip()
+        indent = len(line) - len(line.lstrip())
+        if line:
+            loops = [loop for loop in loops if indent > loop[0]]
+        loop = re.search(r"\bfor (\w+).* do\b(.*)", line)
+        if loop and not line.endswith(" end"):
+            loops.append((indent, loop[1]))
+        rest = loop[2] if loop else line
+        for name in [name for _, name in loops] + ([loop[1]] if loop else []):
+            if re.search(rf"(?:^\s*|\b(?:then|else|do)\s+)(?:\w+, )*{name}(?:, \w+)* = .*[^,]$", rest) and "local " not in rest:
+                found.append(number)
     return found
 
 
-def is_list(words, at):
-    """Whether names with commas between lead to an assignment."""
-    while words[at + 1:at + 2] == [","] and re.match(r"\w+$", words[at + 2]):
-        at += 2
-    return words[at + 1:at + 2] == ["="]
-
-
-def is_statement(words, at):
-    """Whether no table is open around it: { name = value } assigns to no variable."""
-    depth = 0
-    for word in reversed(words[:at]):
-        if word in "{(":
-            depth += 1
-        elif word in "})":
-            depth -= 1
-        elif word in ("then", "do", "else", "function", "end") and depth <= 0:
-            return True
-        if depth > 0:
-            return False
-    return True
-
-
-def is_control(blocks, name):
-    for _, control, declared in reversed(blocks):
-        if name in declared:
-            return False
-        if name == control:
-            return True
-    return False
+def test_an_assignment_is_seen():
+    assert assigned("for i = 1, 3 do\n  if x then i = 2 end\n  local i = 3\nend\ni = 4\nfor k in y do a, k = 1, 2 end") == [2, 6]
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(TOP)))

@@ -33,16 +33,4 @@ function M.is_quadratic(call)
 end
 assert(M.is_quadratic(search), "cpu: the search itself is not seen as quadratic")
 
---- Return whether a call costs less than 8 times as much at four times the size, where quadratic work costs 16 times.
--- Ten attempts, as a loaded machine can make a single one look quadratic; work that is fails them all.  What takes less
--- than a millisecond counts as one: a file that is written takes that now and then.
--- call  function(size)
-function M.is_linear(call, size)
-  for _ = 1, 10 do
-    local once = math.max(0.001, cpu_seconds_without_garbage(function() call(size) end))
-    if cpu_seconds_without_garbage(function() call(4 * size) end) < 8 * once then return true end
-  end
-  return false
-end
-
 return M
