@@ -285,6 +285,16 @@ def test_can_inside_ethernet_tells_no_buses(folder):
     assert '"reboot"' not in done.stdout
 
 
+def test_an_interface_beside_can_is_a_bus():
+    """CAN on can0 and, in IEEE 1722, on eth0: commands stop on can0 alone."""
+    path = tshark.CAPTURES / "cases" / "c2_silence_masked.pcapng"
+    rows = tshark.fields(path, ["yapp.bus", "frame.interface_name"], "-Y", "yapp")
+    assert {tuple(row) for row in rows} == {("can0", "can0"), ("eth0", "eth0")}
+    done = tshark.run("-q", "-r", path, "-z", "yapp,check,json", check=False)
+    failed = [line for line in map(json.loads, done.stdout.splitlines()) if not line["ok"]]
+    assert done.returncode == 20 and [(row["rule"], row["bus"]) for row in failed] == [("silence=0", "can0")]
+
+
 # What a file says of its packets ---------------------------------------------------------------------------------
 
 CASES = tshark.CAPTURES / "cases"

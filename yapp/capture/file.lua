@@ -127,12 +127,12 @@ local function bus_number(self, interface, index)
   return number
 end
 
--- Keep the bus of the latest packet, 0 if it carries no YAPP.
+-- Keep the bus of the latest packet, 0 if it carries no YAPP.  Other links may carry CAN, too: each
+-- interface is a bus.
 -- offset   of its data
 -- seconds  since 1970
 local function keep_bus(self, window, interface, offset, flags, seconds)
-  local link = interface.link
-  local index = link and 0
+  local link, index = interface.link, 0
   if link and link.index_of then index = link.index_of(window:bytes(offset, HEADER), flags) end
   self.bus_by_number[self.count] = index and bus_number(self, interface, index) or 0
   self.stamps[self.count] = seconds
@@ -160,13 +160,17 @@ local function add_interface(self, linktype, name)
   local interface = new_interface(#self.interfaces, linktype, name)
   self.interfaces[#self.interfaces + 1] = interface
   local link = interface.link
-  if not link then return interface end
-  if not link.index_of then bus_number(self, interface, 0) end
-  self.yapp_interfaces = self.yapp_interfaces + 1
-  self.has_indexes = self.has_indexes or linktype == COOKED_2
-  if not self.keeps and (link.index_of or self.yapp_interfaces > 1) then
+  if link then
+    if not link.index_of then bus_number(self, interface, 0) end
+    self.yapp_interfaces = self.yapp_interfaces + 1
+    self.has_indexes = self.has_indexes or linktype == COOKED_2
+  end
+  local may_be_several = #self.interfaces > 1 or link and link.index_of
+  if not self.keeps and self.yapp_interfaces > 0 and may_be_several then
     self.keeps = true
-    for number = 1, self.count do self.bus_by_number[number] = 1 end
+    for number = 1, self.count do
+      self.bus_by_number[number] = bus_number(self, self.interfaces[1], 0)
+    end
   end
   return interface
 end
