@@ -31,7 +31,7 @@ local KIND = { L = 0, S = 1, M = 2, E = 3, X = 9 }
 function M.new(options)
   options = options or {}
   local sources = {}
-  local capture = { is_time_real = function() return not options.is_untimed end }
+  local capture = { is_time_real = function() return true end }
   return {
     reassembly = reassembly.new(capture, function() end),
     source_of = function(id, bus)
@@ -130,7 +130,7 @@ end
 
 --- The frames that words mean, numbered from 1 on.
 -- options  ids = { [sender] = { id, ctl, seq } }, accepts_all, buses (true: each sender has a bus of
---          its own, which the capture tells), gap = seconds between frames, 1 ms if left out
+--          its own, which the capture tells); a frame comes 1 ms behind the one before
 function M.frames(text, options)
   local senders, list, ids = {}, {}, options.ids or {}
   for word in text:gmatch("%S+") do
@@ -142,7 +142,7 @@ function M.frames(text, options)
     data = data:sub(1, length) .. ("\0"):rep(length - #data)
     local captured = marks:match("~(%d+)")
     list[#list + 1] = { can_id = M.can_id(id[1], KIND[kind], id[2], id[3]), number = #list + 1,
-      reported = length, time = #list * (options.gap or 1e-3),
+      reported = length, time = #list * 1e-3,
       data = captured and data:sub(1, captured) or data, accepts_all = options.accepts_all,
       bus = options.buses and ("_" .. name):byte(-1) or nil }
   end

@@ -2,11 +2,12 @@
 -- A raw serial dump: records, offsets, times, and what is not a dump.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local crc = require("yapp.wire.crc")
 local dump = require("yapp.file.dump")
 local framer = require("yapp.serial.framer")
 local levels = require("levels")
 local stream_generator = require("stream_generator")
+
+local frame = stream_generator.frame
 
 -- What the API's file objects do.
 local function file_of(text)
@@ -23,17 +24,6 @@ local function file_of(text)
       return offset
     end,
   }
-end
-
-local function le(value, size)
-  local bytes = {}
-  for i = 1, size do bytes[i], value = string.char(value % 256), (value - value % 256) / 256 end
-  return table.concat(bytes)
-end
-
-local function frame(id, payload)
-  local text = "YP\0\0" .. le(id, 4) .. le(#payload, 2) .. "\0\0" .. payload
-  return text .. le(crc.of(text), 4)
 end
 
 local function new_framer() return framer.new(function() return nil end, true) end
@@ -135,16 +125,6 @@ function T.test_random_clocks()
     end
     lu.assertEquals(found, expected)
   end
-end
-
--- Behind a reboot the clock of before does not go on, also once the new one passes it.
-function T.test_a_second_boot_that_is_longer()
-  local parts = {}
-  for stamp = 1, 5 do parts[stamp] = frame(1, string.char(stamp)) end
-  for stamp = 1, 9 do parts[5 + stamp] = frame(1, string.char(stamp)) end
-  local found = {}
-  for i, record in ipairs(records(table.concat(parts))) do found[i] = record.seconds end
-  lu.assertEquals(found, { 1, 2, 3, 4, 5, 5, 6, 7, 8, 9, 10, 11, 12, 13 })
 end
 
 function T.test_without_a_time_stamp()

@@ -5,6 +5,7 @@ local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local history = require("yapp.message.history")
 local levels = require("levels")
+local little_endian = require("stream_generator").little_endian
 local stamps_of = require("yapp.capture.stamps")
 
 local T = {}
@@ -12,16 +13,6 @@ local T = {}
 local TAURUS = catalogue.compile(dofile("taurus_fields.lua"))
 local MOTOR, COMMAND = TAURUS.by_id[0x210], TAURUS.by_id[0]
 local STATUS, FAULT, STATE = MOTOR.by_name.status_flags, MOTOR.by_name.fault_flags, MOTOR.by_name.motor_state
-
--- Eight bytes, little endian, of a number of nanoseconds.
-local function int64(n)
-  local bytes = {}
-  for i = 1, 8 do
-    bytes[i] = string.char(n % 256)
-    n = (n - n % 256) / 256
-  end
-  return table.concat(bytes)
-end
 
 -- The same source for the same name, message and bus.
 local sources = {}
@@ -38,7 +29,7 @@ local function motor(number, time, with)
   return { source = source_of(with.source or 0x210, MOTOR, with.bus), seq = with.seq or 0,
     key = number, time = time, status = with.ends or "good",
     payload = tostring(clock),
-    raws = { [MOTOR.time.index] = int64(math.floor(clock * 1e9 + 0.5)),
+    raws = { [MOTOR.time.index] = little_endian(math.floor(clock * 1e9 + 0.5), 8),
       [STATUS.index] = with.status or 0, [FAULT.index] = with.fault or 0,
       [STATE.index] = with.state or 0 } }
 end
@@ -76,11 +67,6 @@ function T.test_the_first_message_has_nothing_but_its_clock()
   lu.assertEquals(h:state(motor(1, 0)), { drift = 0 })
   lu.assertNil(h:add { source = {}, seq = 0, key = 2, time = 1, status = "good", payload = "" })
   lu.assertNil(h:add { source = {}, seq = 0, key = 3, time = 1, status = "bad", payload = "" })
-end
-
--- What changed in a field.
-local function change(field, value, raised, cleared)
-  return { field = field, value = value, raised = raised, cleared = cleared }
 end
 
 function T.test_deltas_are_from_the_previous_good_message_of_the_source()
@@ -176,20 +162,6 @@ function T.test_without_time_stamps_there_is_nothing_of_time()
   lu.assertEquals(run(messages, "late")[5], 50) -- with times it is
 end
 
--- A clock may be all that a message has; of a shorter payload it is not there.
-function T.test_a_clock_at_the_end_of_a_message()
-  local own = catalogue.compile { { name = "own", title = "Own", id = 1, size = 9, min_size = 1, { "n", "uint8", "N" },
-    { "clock", "int64_ns", "Clock" } } }
-  local message, h, found = own.by_id[1], new(), {}
-  for i, clock in ipairs { int64(5e9), int64(5e9):sub(1, 7), int64(4e9) } do
-    local payload = "a" .. clock
-    local new_change = h:add { source = source_of("clock", message), seq = 0, key = i, time = i, status = "good",
-      raws = message.read(payload), payload = payload }
-    found[i] = new_change or "-"
-  end
-  lu.assertEquals(found, { "-", "-", { reboot = 1 } })
-end
-
 -- A fault is one table from its rise to its fall.  A flag of two bits is one fault: it stays set from 1 to 2.
 -- An incident goes on if one falls and another rises in one message.
 function T.test_faults_from_rise_to_fall()
@@ -211,12 +183,6 @@ function T.test_faults_from_rise_to_fall()
   lu.assertEquals({ #found[5], found[5][1].fault.time, found[5][2].fault.flag.name }, { 2, 5, "undefined_0x80" })
   lu.assertTrue(found[5][1].fault ~= low and found[5][1].fault.incident ~= low.incident)
   lu.assertEquals(run(messages, "active_time"), { 0, 1, 0, "-", 0 })
-end
-
-function T.test_alarms_of_the_first_message_are_raised()
-  local first = run({ motor(1, 1, { fault = 6, status = 1, state = 0x21 }) })[1]
-  lu.assertEquals(first.flags, { change(FAULT, 6, 6, 0), change(STATE, 0x21, 0x20, 0) })
-  lu.assertEquals(first.active_time, 0)
 end
 
 -- The capture's clock goes back behind the beginning of a fault: how long it lasts is not known then.
@@ -312,7 +278,7 @@ function T.test_nothing_is_kept_of_messages_that_change_nothing()
   local function note(first, last)
     for i = first, last do
       m.key, m.time, m.seq, m.payload = i, i * 0.1, i % 256, tostring(i)
-      m.raws[MOTOR.time.index] = int64(i * 1e8)
+      m.raws[MOTOR.time.index] = little_endian(i * 1e8, 8)
       h:add(m, true)
     end
   end

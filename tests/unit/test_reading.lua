@@ -130,55 +130,7 @@ local function add_all(capture, list, with)
   return text
 end
 
--- Return a value as a text, but for what it says of its source and catalogue.
-local function deep_text(value, depth)
-  if type(value) ~= "table" or depth == 0 then return type(value) == "table" and "table" or tostring(value) end
-  local texts = {}
-  for key, one in pairs(value) do
-    texts[#texts + 1] = tostring(key) .. "=" .. (key == "source" and one.label or deep_text(one, depth - 1))
-  end
-  table.sort(texts)
-  return "{" .. table.concat(texts, ",") .. "}"
-end
-
 -- CAN ----------------------------------------------------------------------------------------------------------------
-
--- The records of a CAN frame, of its result and of its message are used again for the next frame.  So nobody keeps
--- one: with each spoilt once the frame was read, the same comes of the capture.
-function T.test_nobody_keeps_a_record_that_is_used_again()
-  local fault, motor = ("\0"):rep(20) .. "\1" .. ("\0"):rep(11), payload_of(MOTOR, 1)
-  local bad, short = frames_of(MOTOR, 5, motor, { wrong = true }), frames_of(MOTOR, 6, motor)
-  table.remove(short, 3)
-  local list = {}
-  for _, message in ipairs { frames_of(MOTOR, 1, motor), frames_of(MOTOR, 2, fault), frames_of(MOTOR, 2, fault), bad,
-    frames_of(MOTOR, 9, motor), short, { { words.can_id(MOTOR, 3, 0, 7), "end" } },
-    frames_of(0x300, 0, payload_of(0x300, 1)), frames_of(COMMAND, 1, payload_of(COMMAND, 1)) } do
-    for _, frame in ipairs(message) do list[#list + 1] = frame end
-  end
-  local function run(spoils)
-    local capture, events, said = new_capture(), {}, {}
-    capture.reading:listen { report = function(_, result) events_of.append(events, result) end }
-    for pass = 1, 2 do
-      for number, frame in ipairs(list) do
-        local result = visit(capture, frame, { number = number, visited = pass == 2, wants_state = true })
-        said[#said + 1] = in_words(result) .. deep_text(result and result.message, 2)
-        local reused = spoils and result and { result.frame, result, result.message or nil } or {}
-        for _, record in ipairs(reused) do
-          if record ~= capture.reading.plain then -- it has no values that change
-            for key in pairs(record) do record[key] = "spoilt" end
-          end
-        end
-      end
-    end
-    return said, deep_text(events, 5), #events
-  end
-  local said, events, count = run(false)
-  lu.assertTrue(count > 9, count)
-  lu.assertStrContains(events, "change={")
-  local spoilt_said, spoilt_events = run(true)
-  lu.assertEquals(spoilt_said, said)
-  lu.assertEquals(spoilt_events, events)
-end
 
 function T.test_messages_on_can()
   local capture = new_capture()
@@ -225,24 +177,6 @@ function T.test_a_revisit()
   end
   lu.assertEquals(capture.events, { "message Motor Data @5", "message Motor Data @10", "message Motor Data @10" })
   lu.assertNil(visit(capture, { words.can_id(0x700, 2, 0, 1), "other" }, { number = 50, visited = true }))
-end
-
--- A recorder wrote every frame twice with equal stamps, and its first message begins the capture.
-function T.test_copies()
-  local capture, found = new_capture(), {}
-  for seq = 1, 2 do
-    for copy = 1, 2 do
-      local text
-      for i, one in ipairs(frames_of(MOTOR, seq, payload_of(MOTOR, seq))) do
-        text = in_words(visit(capture, one, { time = (seq - 1) / 10 + (i - 1) / 10000 }))
-      end
-      found[2 * seq + copy - 2] = text
-    end
-  end
-  lu.assertEquals(found, { "last good Motor Data", "last good Motor Data (copy of 5)",
-    "last good Motor Data", "last good Motor Data (copy of 15)" })
-  lu.assertEquals(capture.events, { "message Motor Data @5", "copies Motor Data @10", "message Motor Data @15",
-    "copies Motor Data @20" })
 end
 
 function T.test_what_the_history_says()

@@ -116,13 +116,6 @@ function T.test_an_unreliable_history()
   end
 end
 
-function T.test_nothing()
-  local queue, one = new_queue(), notes()
-  add(queue, one)
-  lu.assertEquals(finish(queue), { 0, {} })
-  lu.assertEquals({ one.got, one.last }, { {} })
-end
-
 -- tshark -2 dissects all packets before the first tap runs; a capture may have a single one.
 function T.test_the_first_of_two_passes_does_not_count()
   for count = 1, 3 do

@@ -345,13 +345,6 @@ local function kilobytes()
   return collectgarbage("count")
 end
 
-function T.test_one_frame_a_packet_costs_little()
-  local before, self = kilobytes(), new()
-  for i = 1, 10000 do self:add(packet_of({ i, A, is_datagram = i % 2 == 0 }), true) end
-  lu.assertTrue(kilobytes() - before < 600) -- less than 60 bytes a packet
-  find(self, { { 5000, A, "good 5 @0" } })
-end
-
 -- Nor do packets with ends and beginnings of frames, when the stream has gone on: 40 frames of 48 bytes, 64 at a time.
 function T.test_parts_of_frames_cost_little()
   local stream, pieces = {}, {}

@@ -48,27 +48,16 @@ function T.test_the_example()
   lu.assertEquals(#s.rows, 4)
 end
 
-function T.test_a_message_without_a_name_and_names_with_signs()
-  local s, problems = parse("0x300= motor :, 0x301=health:left:aft=2, 0x302=ÄÖ rotor 3")
+-- Names of people, of interfaces, and those that a capture gives a bus that has none, or one with others.
+function T.test_odd_names()
+  local s, problems = parse([[0x300= motor :, 0x301=health:left:aft=2, 0x302=ÄÖ rotor 3, if1/0x210=a, ]] ..
+    [[any#3 / 0x210 = b, a\xE2\x80\x8Bb/0x210=d, vcan/0/0x210=e, \Device\NPF_{1-2}/0x210=f, left bus / 1=g]])
   lu.assertEquals(problems, {})
   lu.assertNil(name_of(s, nil, 0x300))
-  lu.assertEquals({ message_name(s, nil, 0x300), name_of(s, nil, 0x301), name_of(s, nil, 0x302) },
-    { "motor", "left:aft=2", "ÄÖ rotor 3" })
-end
-
--- As the capture names buses that have no name, or one with others.
-function T.test_buses_with_made_up_names()
-  local s, problems = parse([[if1/0x210=a, any#3 / 0x210 = b, can0#1=c, a\xE2\x80\x8Bb/0x210=d]])
-  lu.assertEquals(problems, {})
-  lu.assertEquals({ name_of(s, "if1", 0x210), name_of(s, "any#3", 0x210), name_of(s, "can0#1", 1),
-    name_of(s, [[a\xE2\x80\x8Bb]], 0x210) }, { "a", "b", "c", "d" })
-end
-
-function T.test_buses_with_odd_names()
-  local s, problems = parse([[vcan/0/0x210=b, \Device\NPF_{1-2}/0x210=c, left bus / 1=d]])
-  lu.assertEquals(problems, {})
-  lu.assertEquals({ name_of(s, "vcan/0", 0x210), name_of(s, [[\Device\NPF_{1-2}]], 0x210), name_of(s, "left bus", 1) },
-    { "b", "c", "d" })
+  lu.assertEquals({ message_name(s, nil, 0x300), name_of(s, nil, 0x301), name_of(s, nil, 0x302),
+    name_of(s, "if1", 0x210), name_of(s, "any#3", 0x210), name_of(s, [[a\xE2\x80\x8Bb]], 0x210),
+    name_of(s, "vcan/0", 0x210), name_of(s, [[\Device\NPF_{1-2}]], 0x210), name_of(s, "left bus", 1) },
+    { "motor", "left:aft=2", "ÄÖ rotor 3", "a", "b", "d", "e", "f", "g" })
 end
 
 function T.test_what_is_wrong_is_said_part_by_part_and_the_rest_holds()

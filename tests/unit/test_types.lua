@@ -254,19 +254,6 @@ function T.test_columns_are_described()
     '"scope":null,"hides":null,"needs_time":null,"is_optional":true,"is_counted_only":true}')
 end
 
-function T.test_values_of_two_fields_are_described()
-  local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 4,
-    differences = { { "error", "seen", "asked", "Error" } },
-    derived = { { "power", "seen * asked", "Power", unit = "W" } },
-    { "seen", "float16", "Seen", min = 0, max = 5, unit = "V" },
-    { "asked", "float16", "Asked", min = 0, max = 5, unit = "V" } } }
-  local text = inventory.describe({ catalogue = compiled, published = { fields = {}, experts = {}, preferences = {} } },
-    text_of.columns, {})
-  local error_ = '{"name":"error","of":"seen","operator":"-","less":"asked","unit":"V","title":"Error"}'
-  lu.assertStrContains(text, '"formulas":[' .. error_ ..
-    ',{"name":"power","of":"seen","operator":"*","less":"asked","unit":"W","title":"Power"}]')
-end
-
 -- A unit follows a value if its placeholder says so, also a reserved value and one that is not there.
 function T.test_info_with_units()
   local units = catalogue.compile({ { name = "m", title = "M", id = 1, size = 3, min_size = 2,
