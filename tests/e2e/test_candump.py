@@ -4,54 +4,41 @@
 The captures are what candump 2020.11 and log2long print for the frames listed here, or were
 written by hand where a comment says so.
 """
-import os
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
 import levels
 import tshark
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "test_captures"))
-
-CAPTURES = ROOT / "test_captures"
-TSHARK = os.environ.get("TSHARK", "tshark")
-
-REGISTER = """
-package.path = "%s/?.lua" -- and nowhere else
-local reader = require("yapp.file.readers")
-reader.register {}
+CAPTURES = tshark.CAPTURES / "candump"
+REGISTER = f"""
+package.path = "{tshark.PLUGIN}/?.lua" -- and nowhere else
+require("yapp.file.readers").register {{}}
 io.stderr:write("reader registered\\n")
 """
 
-def run(tmp_path, arguments, lua=REGISTER % tshark.PLUGIN, stdin=None):
-    """Runs tshark with the reader. Nothing may go wrong in Lua, and it must have been loaded: as root, tshark 4.4
-    leaves it out without a word. Returns (exit code, stdout, stderr)."""
-    script = tmp_path / "register.lua"
-    script.write_text(lua)
-    command = [TSHARK, "-X", f"lua_script:{script}", *map(str, arguments)]
-    done = subprocess.run(command, stdin=stdin or subprocess.DEVNULL, capture_output=True, check=False)
-    errors = done.stderr.decode()
-    assert "Lua:" not in errors
-    assert not lua or "reader registered" in errors
-    return done.returncode, done.stdout.decode(errors="replace"), errors
+
+def run(folder, *arguments, stdin=None):
+    """Runs tshark with the readers alone, which must have been loaded: as root, tshark 4.4 leaves them out without a word."""
+    script = folder / "register.lua"
+    script.write_text(REGISTER)
+    done = tshark.run("-X", f"lua_script:{script}", *arguments, plugin=False, stdin=stdin)
+    assert "reader registered" in done.stderr
+    return done
 
 
 FIELDS = ["sll.ifindex", "sll.pkttype", "can.id", "can.flags.xtd", "can.flags.rtr", "can.flags.err", "can.len",
           "canfd.flags.brs", "canfd.flags.esi", "data", "frame.time_epoch", "frame.protocols"]
 
 
-def rows(tmp_path, arguments, **options):
+def rows(folder, *arguments, stdin=None):
     """One dictionary a frame. Flags are "0" or "1" whatever the version prints. No dissector may have failed."""
-    wanted = [part for name in [*FIELDS, "_ws.lua.error"] for part in ("-e", name)]
-    code, out, errors = run(tmp_path, [*arguments, "-T", "fields", *wanted], **options)
-    assert code == 0, errors
-    assert all(line.endswith("\t") for line in out.splitlines()), "_ws.lua.error"
+    wanted = [part for name in [*FIELDS, tshark.LUA_ERROR] for part in ("-e", name)]
+    out = run(folder, *arguments, "-T", "fields", *wanted, stdin=stdin).stdout.splitlines()
+    assert all(line.endswith("\t") for line in out), tshark.LUA_ERROR
     flags = {"True": "1", "False": "0"}
-    return [dict(zip(FIELDS, (flags.get(value, value) for value in line.split("\t")))) for line in out.splitlines()]
+    return [dict(zip(FIELDS, (flags.get(value, value) for value in line.split("\t")))) for line in out]
 
 
 def frame(ident, data="", **other):
@@ -158,45 +145,45 @@ def assert_frames(shown, frames, times):
 @levels.each_once
 @pytest.mark.parametrize("way", ["one pass", "-2", "written"])
 @pytest.mark.parametrize("form", FILES, ids=lambda row: row[0])
-def test_form(tmp_path, form, way):
+def test_form(folder, form, way):
     name, frames, start = form
-    path, written = CAPTURES / f"candump/candump_{name}", tmp_path / "out.pcapng"
+    path, written = CAPTURES / f"candump_{name}", folder / "out.pcapng"
     no_time = [""] * len(frames)
     times = stamps(start, len(frames)) if start is not None else no_time
     if way == "written":
-        assert run(tmp_path, ["-r", path, "-w", written])[0] == 0
-        assert_frames(rows(tmp_path, ["-r", written]), frames, times if times != no_time else None)
+        run(folder, "-r", path, "-w", written)
+        assert_frames(rows(folder, "-r", written), frames, times if times != no_time else None)
     else:
-        assert_frames(rows(tmp_path, [*(["-2"] if way == "-2" else []), "-r", path]), frames, times)
+        assert_frames(rows(folder, *(["-2"] if way == "-2" else []), "-r", path), frames, times)
 
 
-def test_nanoseconds(tmp_path):
+def test_nanoseconds(folder):
     times = [f"{int(time[:10])}.{int(time[11:]) + i * 111 + 1:09d}" for i, time in enumerate(stamps(ABSOLUTE, 5))]
-    path, written = CAPTURES / "candump/candump_log_nanoseconds.log", tmp_path / "out.pcapng"  # by hand
-    assert_frames(rows(tmp_path, ["-r", path]), MESSAGE, times)
-    assert run(tmp_path, ["-r", path, "-w", written])[0] == 0
-    assert_frames(rows(tmp_path, ["-r", written]), MESSAGE, times)
+    path, written = CAPTURES / "candump_log_nanoseconds.log", folder / "out.pcapng"  # by hand
+    assert_frames(rows(folder, "-r", path), MESSAGE, times)
+    run(folder, "-r", path, "-w", written)
+    assert_frames(rows(folder, "-r", written), MESSAGE, times)
 
 
-def test_plain_logs_stay_with_the_builtin_reader(tmp_path):
-    shown = rows(tmp_path, ["-r", CAPTURES / "candump/candump_log_plain.log"])
+def test_plain_logs_stay_with_the_builtin_reader(folder):
+    shown = rows(folder, "-r", CAPTURES / "candump_log_plain.log")
     assert [row["data"] for row in shown] == [one["data"] for one in MESSAGE]
     assert not any("sll" in row["frame.protocols"] for row in shown)
 
 
-def test_ids_in_a_plain_log(tmp_path):
+def test_ids_in_a_plain_log(folder):
     """The reader of 4.6 goes by an id's value: the Command of the document, ID 0, would be no extended frame to it."""
-    path = CAPTURES / "candump/candump_log_low_ids.log"  # by hand
-    shown = rows(tmp_path, ["-r", path])
+    path = CAPTURES / "candump_log_low_ids.log"  # by hand
+    shown = rows(folder, "-r", path)
     assert [(row["can.id"], row["can.flags.xtd"], row["can.flags.err"]) for row in shown] == [
         ("0", "1", "0"), ("", "", "1"), (str(0x123), "1", "0"), (str(0x123), "0", "0")]
     shown = tshark.fields(path, ["taurus.command.key"])
     assert shown == [["0x5a"], [""], [""], [""]]
 
 
-def test_lines_that_are_not_understood_are_told(tmp_path):
-    path = CAPTURES / "candump/candump_log_broken_lines.log"
-    errors = run(tmp_path, ["-r", path])[2]
+def test_lines_that_are_not_understood_are_told(folder):
+    path = CAPTURES / "candump_log_broken_lines.log"
+    errors = run(folder, "-r", path).stderr
     for text in ("5: not understood, counts as a lost packet: \"(170", "7: not understood, counts as a lost packet: \"can0  interface down\"",
                  "9: not understood"):
         assert f"candump reader: line {text}" in errors
@@ -205,9 +192,9 @@ def test_lines_that_are_not_understood_are_told(tmp_path):
 @pytest.mark.parametrize("line", ["  can0  08404000   [8]  00`00`00`20`C7`6F`BE`BB   `... .o..`",
                                   "  can0  123   [2]  00000001 11111110", "  can0  123   {E}  00 11 22 33 44 55 66 77"],
                          ids=["-S", "-i", "-8"])
-def test_forms_that_do_not_open(tmp_path, line):
+def test_forms_that_do_not_open(folder, line):
     """candump -S, -i and -8: Wireshark says that the file is none that it knows."""
-    path = tmp_path / "run.txt"
+    path = folder / "run.txt"
     path.write_text(f"{line}\n" * 5)
     done = tshark.run("-r", path, check=False)
     assert done.returncode and "isn't a capture file" in done.stderr
@@ -229,17 +216,17 @@ LARGE = {
 @levels.each_once
 @pytest.mark.parametrize("name", LARGE)
 @pytest.mark.parametrize("way", ["file", "-2", "redirection", "pipe"])
-def test_files_redirections_and_pipes(tmp_path, name, way):
-    path = tmp_path / "large.log"
+def test_files_redirections_and_pipes(folder, name, way):
+    path = folder / "large.log"
     path.write_text(LARGE[name])
     if way == "redirection":
         with open(path, "rb") as stdin:
-            shown = rows(tmp_path, ["-r", "-"], stdin=stdin)
+            shown = rows(folder, "-r", "-", stdin=stdin)
     elif way == "pipe":
         with subprocess.Popen(["cat", path], stdout=subprocess.PIPE) as cat:
-            shown = rows(tmp_path, ["-r", "-"], stdin=cat.stdout)
+            shown = rows(folder, "-r", "-", stdin=cat.stdout)
     else:
-        shown = rows(tmp_path, [*(["-2"] if way == "-2" else []), "-r", path])
+        shown = rows(folder, *(["-2"] if way == "-2" else []), "-r", path)
     assert [row["data"] for row in shown] == [f"{i:08x}" for i in range(LINES)]
 
 

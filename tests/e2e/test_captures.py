@@ -76,16 +76,6 @@ def test_fields_and_info(name, passes):
     assert text == wanted
 
 
-@pytest.mark.parametrize("passes", ["one pass", "-2"])
-def test_captures_are_right_beside_others(passes):
-    """In one file with all others that have the same options, so that one run shows them; few take something from others."""
-    names = [name for name in NAMES if not make.read(name).options]
-    together = expected.shown_together(tuple(names), passes, ())
-    compared = {name: expected.comparison(name, passes, together[name]) for name in names if name not in expected.SWEPT}
-    wrong = {name for name, (wanted, text) in compared.items() if wanted != text}
-    assert len(compared) > 40 and wrong <= {"document_udp", "remote_frames", "tcp_conversation", "time_delta", "two_buses_sll2", "two_interfaces", "udp_several"}
-
-
 def wanted_of_messages(name):
     """By frame, what the messages of a text have to show: [(message, fields, experts)]."""
     by_frame = {}
@@ -242,14 +232,6 @@ def test_bytes_of_a_message_in_filters():
     for text, frames in rows:  # a filter alone
         if frames:
             assert [line.split()[0] for line in tshark.run("-r", path, "-Y", text).stdout.splitlines()] == ["5"], text
-
-
-@pytest.mark.parametrize("special", range(5))
-def test_tree_of_a_reserved_count(folder, special):
-    path, count = folder / "one.pcap", 0xFFFF - special
-    path.write_bytes(make.pcap(make.Source(f"can0 fd [210 {count.to_bytes(2, 'little').hex()}{MOTOR.hex()[4:]}]\n")))
-    shown = tshark.run("-r", path, "-O", "taurus").stdout
-    assert f"\n    Torque IQ Commanded: {model.SPECIALS[special]} ({special})\n" in shown
 
 
 def test_what_an_unknown_id_is_like(folder):

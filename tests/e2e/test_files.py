@@ -4,7 +4,6 @@ import gzip
 import json
 import os
 import re
-import resource
 import shutil
 import subprocess
 import sys
@@ -71,49 +70,6 @@ def test_names_of_channels(passes):
     assert left in ("0x210", "CAN-1 0x210") and right == "right"
 
 
-def cpu_seconds(*arguments, **options):
-    """What a run of tshark takes, and the run."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = tshark.run(*arguments, **options)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime - before.ru_utime, done
-
-
-@levels.by_version
-@pytest.mark.parametrize("name, said", [
-    ("h2_asc_blanks.asc", "ASC reader: line 9: not understood"), ("h3_asc_triggerblock.asc", "ASC reader: line 9: not understood"),
-    ("h4_candump_blanks.log", "candump reader: line 151: not understood")])
-def test_long_lines(folder, name, said):
-    """A long line is named, and costs no more than to read it; the frames in front of it are shown."""
-    path = tshark.CAPTURES / "cases" / name
-    lines = path.read_bytes().splitlines(keepends=True)
-    twice = folder / name
-    twice.write_bytes(b"".join(line[:-1] + line if len(line) > 4000 else line for line in lines))
-    plain, _ = cpu_seconds("-r", tshark.CAPTURES / "cases/g0_clean.pcapng", "-c", "1")
-    for file in (path, twice):
-        took, done = cpu_seconds("-r", file, "-T", "fields", "-e", "taurus.motor.dc_voltage")
-        assert took < plain + 1
-        assert said in done.stderr
-        assert any(line.strip() for line in done.stdout.splitlines())
-
-
-@levels.by_version
-def test_dates_that_are_not_understood(folder):
-    """No error in Lua; the line is named; times count from the date of the file, or from 0."""
-    path = tshark.CAPTURES / "cases/h7_asc_day_out_of_bound.asc"
-    text, bad = path.read_text(), "Tue Nov 99999999999 22:13:20.001 2023"
-    good = "Tue Nov 14 22:13:20.001 2023"
-    assert text.count(bad) == text.count(good) == 1
-    for content, line, start in [(text, 3, 1700000000.001), (text.replace(good, bad), 1, 0),
-                                 (text.replace(bad, "Die Okt 30 10:00:00 2023"), 3, 1700000000.001)]:
-        (folder / "date.asc").write_text(content)
-        done = tshark.run("-r", folder / "date.asc", "-T", "fields", "-e", "frame.time_epoch", "-e", "taurus.motor.dc_voltage")
-        assert f"ASC reader: line {line}: no such date: times count from the date before, or from 0" in done.stderr
-        times, values = zip(*(row.split("\t") for row in done.stdout.splitlines()))
-        assert [float(time) for time in times] == pytest.approx([start + i / 1000 for i in range(5)], abs=1e-6)
-        assert values[-1] == "47.97314"
-
-
 def test_conversions(folder):
     """The command of the document, where python-can is there."""
     commands = re.findall(r"^    python3 -m (can\.logconvert) run\.(\S+) run\.log$", DOCUMENT.read_text(), re.MULTILINE)
@@ -136,19 +92,6 @@ def test_readers_hold_what_wireshark_hands_them():
              for name, arguments in re.findall(r"(?m)function handler\.(\w+)\((.*?)\)(?: --.*)?$", path.read_text())]
     assert len(found) >= 4
     assert [(file, name) for file, name, count in found if count != wanted[name]] == []
-
-
-@pytest.mark.parametrize("passes", [(), ("-2",), ("-V",)], ids=" ".join)
-def test_every_bus_of_a_log(folder, passes):
-    """Of the third and fourth the first frame begins a message."""
-    buses = ["can1", "can2", "can0", "vcan7"]
-    lines = [line.split(" ", 2)[2] for line in (tshark.CAPTURES / "candump/candump_log_plain.log").read_text().splitlines()]
-    text = "".join(f"(1700000000.{at:06d}) {bus} {line}\n" for at, (bus, line) in
-                   enumerate((bus, line) for bus in buses for line in lines))
-    (folder / "four.log").write_text(text)
-    rows = tshark.fields(folder / "four.log", ["yapp.bus", "yapp.source"], *passes, "-o",
-                         "yapp.sources:" + ",".join(f"{bus}/0x210=motor:esc_{bus}" for bus in buses))
-    assert rows == [[bus, f"esc_{bus}"] for bus in buses for _ in lines]
 
 
 # A compressed file that is damaged ---------------------------------------------------------------------------------------

@@ -66,22 +66,6 @@ def dronecan(rng):
     return frames
 
 
-def canopen(rng):
-    """Network management, heartbeats, process data, service data."""
-    frames = []
-    while len(frames) < COUNT:
-        node = rng.randrange(1, 128)
-        frames.append(rng.choice([
-            Frame(0, bytes([rng.choice([1, 2, 0x80, 0x81]), node]), kind="standard"),
-            Frame(0x80, b"\0", kind="standard"),
-            Frame(0x700 + node, bytes([rng.choice([0, 4, 5, 127])]), kind="standard"),
-            Frame(0x180 + node, rng.randbytes(rng.randrange(1, 9)), kind="standard"),
-            Frame(0x600 + node, bytes([0x40, *rng.randbytes(2), 0, 0, 0, 0, 0]), kind="standard"),
-            Frame(0x700 + node, bytes(1), kind="remote standard"),
-        ]))
-    return frames
-
-
 def remote_and_error(rng):
     """Remote frames on the very IDs of YAPP, with the zeros that some tools record, and without data; error frames."""
     frames = []
@@ -117,25 +101,10 @@ TRAFFIC = {
     "J1939, Decode As": (j1939, ["-d", "can.subdissector,j1939"]),
     "DroneCAN": (dronecan, []),
     "DroneCAN, Decode As": (dronecan, ["-d", "can.subdissector,uavcan_can"]),
-    "CANopen": (canopen, []),
-    "CANopen, Decode As": (canopen, ["-d", "can.subdissector,canopen"]),
     "remote and error frames": (remote_and_error, []),
     "random extended": (random_extended, []),
     "random extended, Decode As": (random_extended, ["-d", "can.subdissector,j1939"]),
 }
-
-
-def candump_log(path, frames):
-    """The log format of candump -l."""
-    with open(path, "w", encoding="ascii") as file:
-        for number, frame in enumerate(frames, 1):
-            width = 3 if "standard" in frame.kind else 8
-            can_id = frame.can_id | (0x20000000 if frame.kind == "error" else 0)
-            if frame.kind.startswith("remote"):
-                data = "#R" + (str(len(frame.data)) if frame.data else "")
-            else:
-                data = ("##1" if frame.fd else "#") + frame.data.hex().upper()
-            file.write(f"({number / 1000:.6f}) can0 {can_id:0{8 if frame.kind == 'error' else width}X}{data}\n")
 
 
 def details(path, plugin, *arguments):
@@ -169,22 +138,17 @@ def test_can(name, folder, monkeypatch):
     assert differing(path, *arguments) == expected
 
 
-FORMS = [("plain", ["-2"]), ("sll2", []), ("log", []), ("sll", []), ("interfaces", [])]
+FORMS = [("plain", ["-2"]), ("sll2", []), ("sll", []), ("interfaces", [])]
 
 
-@pytest.mark.parametrize("form, passes", levels.few(FORMS, FORMS[:3], several=True))
+@pytest.mark.parametrize("form, passes", levels.few(FORMS, FORMS[:2], several=True))
 def test_all_together(form, passes, folder):
     rng = random.Random(SEED)
     frames = can_generator.merge(rng, [make(rng) for make in dict(TRAFFIC.values())])
     path = folder / "foreign"
     if "-2" in passes:  # nothing tells remote frames from data in a first pass of two
         frames = [frame for frame in frames if frame.kind != "remote"]
-    if form == "log":  # what Wireshark's own reader gets right in every version
-        frames = [frame for frame in frames if not frame.fd and "remote" not in frame.kind and frame.kind != "error" and
-                  ("standard" in frame.kind or frame.can_id > 0x7FF)]
-        candump_log(path, frames)
-    else:
-        can_generator.write(path, frames, form)
+    can_generator.write(path, frames, form)
     assert differing(path, *passes) == ours(frames)
 
 
@@ -232,14 +196,6 @@ def distinct_starts():
                     if can_generator.kind_of(number % 2048) is None else bytes(8))
 
 
-def never_ending_interleaved():
-    """Where the bus is not told, each Start may be another bus's."""
-    sent = can_generator.Sent(0x124, 0, 0, b"")
-    for number in range(FLOOD // 4):
-        yield sent.start(crc=number, size=65535) if number % 1000 == 0 else sent.frame(
-            can_generator.END if number % 100 == 99 else can_generator.MIDDLE, struct.pack("<Q", number))
-
-
 def run_measured(path, output, *arguments, plugin=True):
     """Runs tshark; returns the most memory that it had, in bytes."""
     environment = {**os.environ, "HOME": str(tshark.home(plugin)), "LC_ALL": "C.UTF-8"}
@@ -253,15 +209,13 @@ def run_measured(path, output, *arguments, plugin=True):
     return usage.ru_maxrss * 1024
 
 
-@pytest.mark.parametrize("flood", [distinct_starts, never_ending_interleaved])
-def test_flood(flood, folder):
+def test_flood(folder):
     """Memory stays in proportion to the file, and the message behind the flood is decoded."""
     path, output = folder / "flood.pcap", folder / "shown"
-    frames = [*flood(), *GOOD.frames()]
+    frames = [*distinct_starts(), *GOOD.frames()]
     can_generator.write(path, frames, "plain")
     without = run_measured(path, output, "-Y", "udp", plugin=False)
     growth = run_measured(path, output, "-Y", "yapp.crc.status == 1", "-T", "fields", "-e", "frame.number", "-e",
                           "yapp.payload") - without
     assert output.read_text() == f"{len(frames)}\t{GOOD.payload.hex()}\n"
-    print(f"{flood.__name__}: {growth / len(frames):.0f} bytes a frame")
     assert growth < BYTES_A_FRAME * len(frames) + BYTES_BESIDES

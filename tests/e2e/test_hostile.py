@@ -7,7 +7,6 @@ import struct
 import pytest
 
 import levels
-import test_preferences as given
 import tshark
 
 MEMORY = 2 * 2**30  # address space; a plain run takes a quarter
@@ -34,33 +33,6 @@ def decoded(path, *arguments):
 
 
 # Sizes and lengths -------------------------------------------------------------------------------------------------
-
-SIZES = (0, 1, 7, 8, 9, 31, 33, 255, 256, 0x7FFF, 0x8000, 0xFFFE, 0xFFFF)
-
-
-def start(ident, size, reserved=0):
-    """A Start with this size."""
-    return f"can0 {ident << 18 | 1 << 14:08X} {struct.pack('<IHH', 0xC76FBEBB, size, reserved).hex(' ')}"
-
-
-def frame(ident, ctrl, data="00*8"):
-    return f"can0 {ident << 18 | ctrl << 14:08X} {data}"
-
-
-@pytest.mark.parametrize("arguments", levels.few(
-    [(), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp_all")], [("-d", "can.subdissector,yapp_all")]),
-                         ids=["default", "all_extended", "decode_as"])
-def test_sizes_that_a_start_announces(folder, arguments):
-    """A message of any size with nothing, too little, or too much; the message after them is decoded."""
-    lines = []
-    for size in SIZES:
-        for ident in (0x210, 0x123):
-            lines += [start(ident, size), start(ident, size, 0xFFFF), frame(ident, 2), frame(ident, 2, ""),
-                      frame(ident, 3), start(ident, size), *[frame(ident, 2)] * 5, frame(ident, 3),
-                      start(ident, size), frame(ident, 3)]
-    lines.append(f"can0 [210 {given.MOTOR}]")
-    path = given.write(folder, *lines)
-    assert decoded(path, *arguments)[-1] == len(lines) + 4
 
 
 def socketcan(can_id, length, flags, data):

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""profiles/YAPP: every name in it is a field, the columns and the colours are what tshark makes of them, and the colours
-can be told apart by everybody."""
+"""profiles/YAPP: every name in it is a field, the columns and the colours are what tshark makes of them, and their
+texts can be read."""
 import csv
-import itertools
 import re
 import shutil
 
@@ -104,24 +103,6 @@ def test_info_does_not_repeat_the_columns(home):
     assert not any(" RPM" in text or " V" in text for _, _, text in rows)
 
 
-def test_values_in_columns_have_as_many_digits_as_they_need(home):
-    """And fields keep theirs.  From 4.6 on each row has as many: 47.50 beside 47.52."""
-    fraction = r"-?\d+\.\d\d" if tshark.version() >= (4, 6) else r"-?\d+(\.\d\d?)?"
-    done = run(home, "-r", tshark.ROOT / "docs/flight.pcapng", "-T", "psml")
-    rows = [re.findall(r"<section>(.*?)</section>", row) for row in done.stdout.split("<packet>")[1:]]
-    values = [row[3:9] for row in rows if row[3]]
-    assert len(values) > 200
-    for shape, column in zip((r"-?\d+", r"-?\d+", fraction, fraction, r"-?\d+", r"-?\d+"), zip(*values)):
-        assert len(set(column)) > 1 and all(re.fullmatch(shape, cell) and cell != "-0" for cell in column), (shape, set(column))
-    names = re.findall(r"(taurus\.motor\.\w+)\.rounded", (PROFILE / "preferences").read_text())[:6]
-    exact = tshark.fields(tshark.ROOT / "docs/flight.pcapng", names, "-Y", "taurus.motor")
-    assert len(set(names)) == 6 and any(len(cell) > 6 for row in exact for cell in row)
-    for cells, row in zip(values, exact, strict=True):
-        for rounded, wanted in zip(cells, row):
-            unit = 10 ** -len(rounded.partition(".")[2]) if "." in rounded else 1
-            assert abs(float(rounded) - float(wanted)) <= unit / 2 + 1e-9, (names, cells, row)
-
-
 def test_a_column_for_each_controller(home):
     """By the options that docs/profile.md shows."""
     page = (tshark.ROOT / "docs/profile.md").read_text()
@@ -203,33 +184,3 @@ def test_text_is_readable():
         assert (high + 0.05) / (low + 0.05) >= 4.5, name
 
 
-# How full protanopes, deuteranopes and tritanopes see linear RGB (Machado, Oliveira and Fernandes, 2009).
-SIGHT = {
-    "normal": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    "protan": ((0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216), (-0.003882, -0.048116, 1.051998)),
-    "deutan": ((0.367322, 0.860646, -0.227968), (0.280085, 0.672501, 0.047413), (-0.011820, 0.042940, 0.968881)),
-    "tritan": ((1.255528, -0.076749, -0.178779), (-0.078411, 0.930809, 0.147602), (0.004733, 0.691367, 0.303900)),
-}
-
-
-def lab(rgb):
-    """CIELAB of linear RGB."""
-    matrix = ((0.4124, 0.3576, 0.1805), (0.2126, 0.7152, 0.0722), (0.0193, 0.1192, 0.9505))
-    white = (0.9505, 1, 1.089)
-    x, y, z = (sum(a * b for a, b in zip(row, rgb)) / w for row, w in zip(matrix, white))
-    x, y, z = (value ** (1 / 3) if value > 0.008856 else 7.787 * value + 16 / 116 for value in (x, y, z))
-    return 116 * y - 16, 500 * (x - y), 200 * (y - z)
-
-
-def seen(colour, sight):
-    rgb = linear(colour)
-    return lab([min(1, max(0, sum(a * b for a, b in zip(row, rgb)))) for row in SIGHT[sight]])
-
-
-@pytest.mark.parametrize("sight", SIGHT)
-@levels.without_tshark("reads the profile's files")
-def test_colours_can_be_told_apart(sight):
-    """By everybody: 10 apart in CIELAB is two colours at a glance; the text's colour adds to it."""
-    for (a, first), (b, second) in itertools.combinations(colour_rules().items(), 2):
-        distance = sum((p - q) ** 2 for p, q in zip(seen(first[1], sight), seen(second[1], sight))) ** 0.5
-        assert distance >= 15, (a, b, distance)

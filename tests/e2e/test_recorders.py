@@ -24,10 +24,6 @@ def events(path, *arguments):
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-def check(path, *rules):
-    return tshark.run("-r", path, "-q", "-z", ",".join(["yapp,check", *rules]), check=False)
-
-
 def motor_count(path):
     found = tshark.fields(path, ["taurus.motor.dc_voltage"])
     return sum(1 for row in found if row[0])
@@ -58,18 +54,6 @@ def test_files(name):
     assert done.returncode == code
 
 
-def test_stamps_of_an_old_asc2log():
-    """(1700000000.1000000) is the second 1700000001."""
-    path = CASES / "c12_usec_overflow.log"
-    lines = path.read_text().splitlines()
-    odd = [number for number, line in enumerate(lines) if ".1000000)" in line]
-    assert odd
-    times = [Decimal(row[0]) for row in tshark.fields(path, ["frame.time_epoch"])]
-    assert len(times) == len(lines) and times == sorted(times)
-    for number in odd:
-        assert times[number] == int(lines[number][1:].split(".")[0]) + 1
-
-
 @levels.each_once
 @pytest.mark.parametrize("passes", PASSES, ids=len)
 @pytest.mark.parametrize("seed", range(1, levels.size(4, 25)))
@@ -96,12 +80,6 @@ def test_every_dialect_of_asc(folder, seed, passes):
             assert abs(behind - (shift or 0)) < Decimal("0.000002"), (log.head, row["time"], seconds(frame.at))
             row["time"] = f"{frame.at // flights.SECOND}.{frame.at % flights.SECOND:09d}"
             check_row(row, frame, bus, source, message)
-
-
-def test_an_asc_without_a_base():
-    """A log whose head was left out does not open: its ids may be hexadecimal or decimal."""
-    done = check(CASES / "c04_no_header.asc")
-    assert done.returncode not in (0, 20, 21) and "isn't a capture file" in done.stderr
 
 
 @pytest.mark.parametrize("zone", ["UTC", "Europe/Berlin"])

@@ -61,27 +61,6 @@ def ask(home, path, frames):
     return [filters_in(answer) for answer in answers_of(home, path, *map(details, frames))]
 
 
-@pytest.mark.parametrize("layout", ["interfaces", "sll2", "merged", "merged interface"])
-def test_any_order(layout, folder, home):
-    """Two buses send messages of the same key in turns."""
-    frames, expected = [], {}
-    for count in range(3):
-        sent = [can_generator.Sent(0x210, 0, 0, bytes([16 * bus + count + 1] * 32)).frames() for bus in range(2)]
-        for pair in zip(*sent):
-            for bus, frame in enumerate(pair):
-                frame.bus = bus
-                frames.append(frame)
-                expected[len(frames)] = 10 * count + 9 + bus
-    path = pathlib.Path(folder) / "two.pcapng"
-    can_generator.write(path, frames, layout)
-    order = [1, 29, 30, 2, 9, 10, 3, 20, 19, *range(1, 31)]
-    for number, fields in zip(order, ask(home, path, order)):
-        last = expected[number]
-        assert f"yapp.reassembled.in == {last}" in fields, number
-        assert not any("fragment.incomplete" in text or "fragment.orphan" in text for text in fields), number
-        assert ("yapp.crc.status == 1" in fields) == (number == last), number
-
-
 # The first pass over a long capture has no fields, so no interface; the details of a frame have one.
 @pytest.mark.parametrize("before", [0, 2000], ids=["one interface", "IP for long"])
 def test_what_changed_since_the_message_before(before, folder, home):

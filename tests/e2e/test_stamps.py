@@ -26,21 +26,6 @@ def z(path, what, *arguments):
     return done.returncode, done.stdout, done.stderr
 
 
-def test_c01_hw_stamps_zero_motor_dead():
-    """candump -H on an adapter without a hardware clock; Motor Data stops after 16 messages."""
-    code, printed, _ = z(CASES / "c01_hw_stamps_zero_motor_dead.log", "check,silence=0,motor.gap=0.3")
-    assert code == 21 and EQUAL in printed
-    assert len(re.findall("NOT JUDGED  (?:silence=0|motor.gap=0.3)", printed)) == 4
-
-
-def test_c01_hw_stamps_zero():
-    """The same as screen text, with a fault of one second."""
-    code, printed, said = z(CASES / "c01_hw_stamps_zero.txt", "faults,json")
-    rows = [json.loads(line) for line in printed.splitlines()]
-    assert code == 0 and [(row["event"], row["active"]) for row in rows] == [("raised", None), ("cleared", None)]
-    assert EQUAL in said
-
-
 @pytest.mark.parametrize("stamp", ["0000000000.000000", "1700000000.250000"])
 def test_no_fault_is_missed(folder, stamp):
     """A flight with many faults: their order stays, how long they lasted is not known."""
@@ -96,18 +81,6 @@ def events_of(path, *arguments, code=0):
     done = tshark.run("-q", "-r", path, *arguments, "-z", "yapp,events,json", check=False)
     assert done.returncode == code, done.stderr
     return [json.loads(line) for line in done.stdout.splitlines()], done.stderr
-
-
-@levels.by_version
-@pytest.mark.parametrize("passes", [[], ["-2"]], ids=["one pass", "two"])
-def test_clock_set_forward(passes):
-    """By five days, while a fault of one second is set."""
-    events, said = events_of(CASES / "clock_set_forward.log", *passes)
-    assert [row["kind"] for row in events] == ["fault", "fault", "clock", "fault", "fault"] and "hide" not in said
-    assert [row["active"] for row in events if row["kind"] == "fault"] == [None, None, 1.0, 1.0]
-    assert abs(events[2]["length"] - 432000) < 0.01
-    found = tshark.fields(CASES / "clock_set_forward.log", ["taurus.motor.fault.active_time", "yapp.time_delta"], *passes)
-    assert all(float(value) < 3 for row in found for value in row if value)
 
 
 @pytest.mark.parametrize("seed", range(levels.size(3, 20)))

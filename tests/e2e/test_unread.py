@@ -37,15 +37,6 @@ def test_nothing_is_wrong_without_it():
     assert done.returncode == 0 and all(f"YAPP {name}: " in done.stdout for name in model.IN_TEXT)
 
 
-@pytest.mark.parametrize("options, said", [
-    (["-o", "yapp.sources:can0/0x210=motr:left"], 'no message "motr"'),
-    (["-o", "yapp.user_dlt:9"], "no DLT_USER"),
-    (["-o", "yapp.messages:not_there.lua"], "not_there.lua")])
-def test_another_that_cannot(options, said):
-    done = tshark.run("-q", "-r", CLEAN, *options, "-z", "yapp,faults", check=False)
-    assert done.returncode == 21 and told(done, "faults", said)
-
-
 # The plugin fails --------------------------------------------------------------------------------------------------------
 
 # Where an error is planted: behind the first line of a function.
@@ -91,14 +82,6 @@ def test_a_lua_error_in_a_dissector(folder, what):
 
 # Stamps ------------------------------------------------------------------------------------------------------------------
 
-def test_stamps_of_two_recorders_that_alternate():
-    """A fault of 1 s lasts 1 s, where received frames are stamped 6.2 s ahead of sent ones; nothing is silent."""
-    path = tshark.CAPTURES / "cases/c07_received_ahead.log"
-    rows = [json.loads(line) for line in tshark.run("-q", "-r", path, "-z", "yapp,faults,json").stdout.splitlines()]
-    assert [(row["event"], row["active"]) for row in rows] == [("raised", None), ("cleared", 1.0)]
-    done = tshark.run("-q", "-r", path, "-z", "yapp,check,silence=0,motor.gap=0.11", "-z", "yapp,events", check=False)
-    assert done.returncode == 0 and "time stamps went back" in done.stdout, done.stdout
-
 
 # A ring of files ---------------------------------------------------------------------------------------------------------
 
@@ -116,13 +99,6 @@ def test_a_live_capture_that_goes_on_in_new_files(folder, what):
     done, files = capture(folder, ["-b", "packets:25"], "-q", "-z", f"yapp,{what}")
     assert len(files) > 2 and done.returncode == 21  # on a slow machine a file may have more than 25 packets
     assert told(done, what, " packets were read: of a live capture with -b tshark analyses the first file")
-
-
-def test_a_live_capture_of_which_tshark_reads_more_than_the_first_file(folder):
-    """It does in a long one.  The second file begins within a message: nothing of it counts."""
-    done, files = capture(folder, ["-b", "packets:33"], "-q", "-z", "yapp,check", path=tshark.ROOT / "docs/flight.pcapng")
-    assert done.returncode == 21 and len(files) > 2 and "FAILED" not in done.stdout, done.stdout
-    assert "packets were read: of a live capture with -b tshark analyses the first file" in done.stderr
 
 
 def test_a_failed_rule_stays_failed_where_more_packets_cannot_mend_it(folder):
