@@ -7,6 +7,7 @@
 -- has the controller's state.
 
 local band = require("yapp.base.bits").band
+local input = require "yapp.base.input"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
@@ -19,21 +20,21 @@ local EXTENDED, REMOTE = 0x80, 0x40 -- flags in the highest byte of the id
 local ENDED = 1 -- seconds behind which a report without a state is a new one
 
 -- What an error frame may report, the gravest first: of these `buses` counts one a frame.
--- bits   of its class; above these, those of the controller's state
--- state  the state of the bus that it shows, or nil
+-- bits      of its class; above these, those of the controller's state
 -- is_event  true if it is the `what` of an event
-local REPORTS = {
-  { name = "off", bits = 0x40, state = "off", is_event = true },
-  { name = "passive", bits = 0x300000, state = "passive", is_event = true },
-  { name = "restarted", bits = 0x100, state = "restarted", is_event = true },
-  { name = "no_ack", bits = 0x20, is_event = true },
-  { name = "tx_timeout", bits = 0x01, is_event = true },
-  { name = "overflow", bits = 0x030000 },
-  { name = "warning", bits = 0x4C0000, state = "active" }, -- or less
-  { name = "protocol", bits = 0x08 },
-  { name = "arbitration", bits = 0x02 },
-  { name = "bus", bits = 0x290 }, -- and all that has no other name
-}
+-- is_state  true if it shows a state of the bus, which lasts until another one comes
+local REPORTS = input.rows("name bits is_event is_state", {
+  { "off", 0x40, true, true },
+  { "passive", 0x300000, true, true },
+  { "restarted", 0x100, true, true },
+  { "no_ack", 0x20, true },
+  { "tx_timeout", 0x01, true },
+  { "overflow", 0x030000 },
+  { "warning", 0x4C0000, false, true }, -- or less
+  { "protocol", 0x08 },
+  { "arbitration", 0x02 },
+  { "bus", 0x290 }, -- and all that has no other name
+})
 local NAMES = {}
 for i, report in ipairs(REPORTS) do NAMES[i] = report.name end
 
@@ -49,50 +50,50 @@ local function read_record(packet)
   return a, length and c * 0x100 + d, length, second or 0
 end
 
---- Return what an error frame reports: a list of rows of REPORTS, the gravest first.
+--- Return what an error frame reports: a list of rows of REPORTS, the gravest first, and of several
+-- states only that one.
 -- packet  its bytes, from the beginning of the packet
 function M.read_error(packet)
   local _, class, _, state = read_record(packet)
   if band(class, CONTROLLER) > 0 then class = class + state * 0x10000 end
-  local reports = {}
+  local reports, has_state = {}, false
   for _, report in ipairs(REPORTS) do
-    if band(class, report.bits) > 0 then reports[#reports + 1] = report end
+    local is_shown = band(class, report.bits) > 0 and not (report.is_state and has_state)
+    if is_shown then reports[#reports + 1] = report end
+    has_state = has_state or is_shown and report.is_state
   end
   return reports
 end
 
 -- From error frames to events ---------------------------------------------------------------------
 
--- Return whether a report begins something.  A state lasts until another one comes.  Nothing tells
--- when frames are acknowledged again: so that ends when the bus works again, or after a second.
--- known  of a bus: { state = the latest, [name of another report] = its latest time }
+-- Return whether a report begins something.  Nothing tells when frames are acknowledged again: so
+-- that ends when the bus works again, or after a second.
+-- known  of a bus: { state = the latest one, times = by the name of another report }
 local function is_new(known, report, time)
-  local name, state = report.name, report.state
-  local latest, is_other = known[name], state ~= known.state
-  if not state then
-    known[name] = time
+  local name, before, latest = report.name, known.state, known.times[report.name]
+  if not report.is_state then
+    known.times[name] = time
     return not latest or span(latest, time) > ENDED
   end
-  known.state = state
-  if is_other and state ~= "passive" then known.no_ack, known.tx_timeout = nil, nil end
-  return is_other
+  known.state = name
+  if name ~= before and name ~= "passive" then known.times = {} end
+  return name ~= before
 end
 
 --- Make the events of the error frames of one run.
 -- hand_on  function(event)
 -- returns  function(event), to be called for each error frame, in the order of the capture
 function M.new_errors(hand_on)
-  local known_by_source = memo(function() return { state = "active" } end)
+  local known_by_source = memo(function() return { state = "warning", times = {} } end)
   return function(event)
-    local known, has_state = known_by_source[event.source], false
+    local known = known_by_source[event.source]
     local function emit(kind, values) hand_on(kinds.new_follower(kind, event, values)) end
     hand_on(event)
     for _, report in ipairs(event.values.reports) do
-      local name, state, rule = report.name, report.state, "bus_" .. report.name
-      local counts = not (state and has_state) -- of several states the gravest does
-      has_state = has_state or state
+      local name, rule = report.name, "bus_" .. report.name
       if name == "overflow" then emit("dropped", { count = 1 }) end
-      if counts and is_new(known, report, event.time) and report.is_event then
+      if is_new(known, report, event.time) and report.is_event then
         emit("bus", { what = name })
         if kinds.BY_NAME[rule] then emit(rule, { note = event.source.bus }) end
       end
@@ -157,7 +158,7 @@ local function new_bus(source)
     bits = 0, -- of all frames
     recent = {}, -- frames of the last second: [number] = { time, bits }
     oldest = 1, -- number of the oldest of them
-    recent_bits = 0,
+    recent_bits = 0, -- of them
     max_bits = 0,
   }
 end

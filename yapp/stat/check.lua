@@ -4,6 +4,7 @@
 
 local field_kinds = require "yapp.message.field_kinds"
 local groups = require "yapp.stat.groups"
+local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
 local judge = require "yapp.stat.judge"
 local output = require "yapp.stat.output"
@@ -12,31 +13,21 @@ local utf8 = require "yapp.base.utf8"
 
 local M = groups.class { new_values = judge.new, add_values = judge.add, lists_problems = true }
 
--- Verdicts; order = theirs in the text, case = the element of a report in XML.
-local FAILED = {
-  order = 1,
-  json = "false",
-  text = "FAILED",
-  title = "FAILED",
-  case = '<failure message="%s"/>',
-  code = output.EXIT_FAILED,
-}
-local UNJUDGED = {
-  order = 2,
-  json = "null",
-  text = "NOT JUDGED",
-  title = "not all of it could be judged",
-  case = '<error message="%s"/>',
-  code = output.EXIT_UNDECIDED,
-}
-local OK = {
-  order = 3,
-  json = "true",
-  text = "ok",
-  title = "all rules hold",
-  case = "<system-out>%s</system-out>",
-  code = output.EXIT_OK,
-}
+local unpack = rawget(table, "unpack")
+
+-- Verdicts, in the order of the text; case = the element of a report in XML.
+local FAILED, UNJUDGED, OK = unpack(input.rows("order json text title code case", {
+  { 1, "false", "FAILED", "FAILED", output.EXIT_FAILED, '<failure message="%s"/>' },
+  {
+    2,
+    "null",
+    "NOT JUDGED",
+    "not all of it could be judged",
+    output.EXIT_UNDECIDED,
+    '<error message="%s"/>',
+  },
+  { 3, "true", "ok", "all rules hold", output.EXIT_OK, "<system-out>%s</system-out>" },
+}))
 --- The columns, see output.columns.
 M.COLUMNS = output.columns({
   { "ok", "boolean", "whether the rule holds; null if it could not be judged", title = "check" },
@@ -144,11 +135,11 @@ end
 
 --- Judge all rules; return the rows: of each rule one for each of its sources, or one in all.
 function M:judge(ending)
-  local rows = {}
+  local rows, sorted = {}, self:sort()
   self.ending = ending
   for _, rule in ipairs(self.options.rules) do
     local measure, about = rule.measure, {}
-    for _, group in ipairs(rule.kind.scope == "capture" and { self.capture } or self:sort()) do
+    for _, group in ipairs(rule.kind.scope == "capture" and { self.capture } or sorted) do
       if group == self.capture or is_about(rule, group) then about[#about + 1] = group end
     end
     if not about[1] then measure, about[1] = measure_none, self.capture end
@@ -183,13 +174,22 @@ local function case_of(row)
   return CASE:format(escape(name), row.ok.case:format(escape(table.concat(texts, ", "))))
 end
 
+-- Return how many rows have a verdict.
+local function count(rows, verdict)
+  local number = 0
+  for _, row in ipairs(rows) do
+    if row.ok == verdict then number = number + 1 end
+  end
+  return number
+end
+
 -- Write it; return an error, nil for none.
--- counts  by verdict
-local function write_report(path, rows, counts)
+local function write_report(path, rows)
   local cases = {}
   for i, row in ipairs(rows) do cases[i] = case_of(row) end
   local text = table.concat(cases)
-  return output.save(path, REPORT:format(#rows, counts[FAILED], counts[UNJUDGED], text))
+  text = REPORT:format(#rows, count(rows, FAILED), count(rows, UNJUDGED), text)
+  return output.save(path, text)
 end
 
 -- The end ---------------------------------------------------------------------------------------
@@ -197,17 +197,14 @@ end
 --- End, see stat.answer.
 -- returns  the exit code, and a text on errors other than rules, nil for none
 function M:finish(ending, notes)
-  local options, context = self.options, self.context
-  local rows, problems = self:judge(ending), {}
-  local judged, counts = joined(rows), { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
-  local function add_problem(text)
-    problems[#problems + 1], rows[#rows + 1] = "check: " .. text, { ok = UNJUDGED, note = text }
-    counts[UNJUDGED] = counts[UNJUDGED] + 1
+  local options, context, judged = self.options, self.context, self:judge(ending)
+  local rows, problems = joined(judged), joined(ending.problems, options.problems)
+  for _, text in ipairs(problems) do rows[#rows + 1] = { ok = UNJUDGED, note = text } end
+  local problem = options.junit and write_report(options.junit, rows)
+  if problem then
+    problems[#problems + 1] = "the report is not written: " .. problem
+    rows[#rows + 1] = { ok = UNJUDGED, note = problems[#problems] }
   end
-  for _, row in ipairs(rows) do counts[row.ok] = counts[row.ok] + 1 end
-  for _, text in ipairs(joined(ending.problems, options.problems)) do add_problem(text) end
-  local problem = options.junit and write_report(options.junit, rows, counts)
-  if problem then add_problem("the report is not written: " .. problem) end
   output.sort(rows, function(row)
     return row.ok.order, row.ok == OK and row.percent or math.huge
   end)
@@ -215,9 +212,9 @@ function M:finish(ending, notes)
   output.print(context, "YAPP check: " .. worst.title, M.COLUMNS, shown, notes)
   if not options.json then
     local shape = "\n%d of %d rules failed, %d not judged\n"
-    context.out(shape:format(counts[FAILED], #rows, counts[UNJUDGED]))
+    context.out(shape:format(count(rows, FAILED), #rows, count(rows, UNJUDGED)))
   end
-  return worst.code, problems[1] and table.concat(problems, "\n")
+  return worst.code, problems[1] and "check: " .. table.concat(problems, "\ncheck: ")
 end
 
 return M

@@ -5,6 +5,7 @@
 -- FOLDER/motor.csv ...  time, frame, bus, source, id, seq, then the columns of the message
 -- FOLDER/fields.json    the inventory, see stat.inventory
 
+local input = require "yapp.base.input"
 local inventory = require "yapp.stat.inventory"
 local joined = require "yapp.base.joined"
 local memo = require "yapp.base.memo"
@@ -19,14 +20,14 @@ M.COLUMNS = output.columns({
   { "rows", "integer", "how many rows it has" },
 }, "file rows")
 -- The columns in front of a message's own.
-local COMMON = {
-  { name = "time", type = "time", unit = "s" },
-  { name = "frame", type = "integer" },
-  { name = "bus", type = "string" },
-  { name = "source", type = "string" },
-  { name = "id", type = "integer" },
-  { name = "seq", type = "integer" },
-}
+local COMMON = input.rows("name type unit", {
+  { "time", "time", "s" },
+  { "frame", "integer" },
+  { "bus", "string" },
+  { "source", "string" },
+  { "id", "integer" },
+  { "seq", "integer" },
+})
 local CRC_GOOD = { { name = "crc_good", type = "bool" } }
 
 local Csv = {}

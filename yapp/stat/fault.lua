@@ -239,13 +239,12 @@ end
 
 local function add_changes(rows, card, messages)
   for _, field in ipairs(messages[1].source.type.fields) do
-    local is_code = field.values or KINDS[field.kind].words
     for _, flag in ipairs(field.flags or {}) do
       local is_fault = band(flag.mask, field.alarm_bits) ~= 0
       if not is_fault then add_change(rows, card, messages, field, find_switch, flag) end
     end
-    if is_code then add_change(rows, card, messages, field, find_switch) end
-    if field_kinds.is_number(field) then add_change(rows, card, messages, field, find_departure) end
+    local find = field.values and find_switch or field_kinds.is_number(field) and find_departure
+    if find then add_change(rows, card, messages, field, find) end
   end
 end
 
@@ -274,19 +273,6 @@ local function message_row(card, event)
   return new_row(card, event, row)
 end
 
--- Return the messages of the ten seconds before a fault: a list for each source.
-local function messages_before(card)
-  local all = {}
-  local by_source = memo(function() return {} end, all)
-  for _, event in ipairs(card.events) do
-    local is_before = is_message(event) and event.frame <= card.cause.frame
-    if is_before and card.cause.time - event.time <= BEFORE_FAULT then
-      insert(by_source[event.source], event)
-    end
-  end
-  return all
-end
-
 -- Return the messages of the Command before a fault: the controller's own, else its bus's.
 local function find_command(source, all)
   local found = nil
@@ -301,84 +287,84 @@ local function find_command(source, all)
 end
 
 -- Add the rows about the sources before a fault.
-local function add_sources(rows, card)
-  local source, all = card.cause.source, messages_before(card)
+-- all  lists of their messages
+local function add_sources(row, card, all)
+  local source, changes = card.cause.source, row.changes
   local command = find_command(source, all)
   for _, messages in ipairs(all) do
-    local latest = messages[#messages]
-    if messages == command or is_same_controller(latest.source, source) then
-      local count = #rows.changes
-      add_changes(rows.changes, card, messages)
-      if messages == command then
-        local row = message_row(card, latest)
-        if #rows.changes == count then row.values.text = "unchanged  " .. row.values.text end
-        insert(rows.command, row)
-      end
+    local latest, count = messages[#messages], #changes
+    local is_command = messages == command
+    if is_command or is_same_controller(latest.source, source) then
+      add_changes(changes, card, messages)
     elseif latest.source.type == source.type then
-      insert(rows.others, message_row(card, latest))
+      insert(row.others, message_row(card, latest))
+    end
+    if is_command then
+      local values = message_row(card, latest)
+      if #changes == count then values.values.text = "unchanged  " .. values.values.text end
+      insert(row.command, values)
     end
   end
-  output.sort(rows.changes, function(row) return row.frame, -row.size end)
+  output.sort(changes, function(change) return change.frame, -change.size end)
 end
 
--- Return the rows of the sections, by name.
-local function find_rows(self, card, ending)
-  local rows, cause = {}, card.cause
-  for _, section in ipairs(SECTIONS) do rows[section.name] = {} end
-  add_sources(rows, card)
-  local function event_row(event)
-    return new_row(card, event, lists.event_row(self.context, event, ending))
-  end
-  for i, event in ipairs(card.flags) do rows.flags[i] = event_row(event) end
-  for _, event in ipairs(card.events) do
-    if is_message(event) then
-      if event.source == cause.source then insert(rows.messages, message_row(card, event)) end
-    elseif kinds.is_near(event, cause.time) and event.values.incident ~= card.incident then
-      insert(rows.events, event_row(event))
-    end
-  end
-  while #rows.messages > BEFORE + 1 + card.behind do table.remove(rows.messages, 1) end
-  return rows
-end
-
--- Return the row of a card.
--- rows  of the sections
-local function card_row(self, card, rows, lacks_times)
-  local cause = card.cause
+-- Return the row of a card, with the rows of its sections.
+local function row_of(self, card, ending)
+  local cause, all = card.cause, {}
+  local by_source = memo(function() return {} end, all) -- messages of the ten seconds before
   local row = output.row(cause.source, {
     incident = card.number,
     incidents = self.count,
     time = self.context.dates:value(cause.time),
     rel = output.seconds(cause.time),
-    active = not lacks_times and new_row(card, card.last, {}).since or nil,
+    active = not ending.lacks_times and new_row(card, card.last, {}).since or nil,
     frame = cause.frame,
   })
-  for _, section in ipairs(SECTIONS) do
-    row[section.name] = output.objects(section.keys, rows[section.name])
+  for _, section in ipairs(SECTIONS) do row[section.name] = {} end
+  local function event_row(event)
+    return new_row(card, event, lists.event_row(self.context, event, ending))
   end
+  for i, event in ipairs(card.flags) do row.flags[i] = event_row(event) end
+  for _, event in ipairs(card.events) do
+    if is_message(event) then
+      local is_before = event.frame <= cause.frame and cause.time - event.time <= BEFORE_FAULT
+      if is_before then insert(by_source[event.source], event) end
+      if event.source == cause.source then insert(row.messages, message_row(card, event)) end
+    elseif kinds.is_near(event, cause.time) and event.values.incident ~= card.incident then
+      insert(row.events, event_row(event))
+    end
+  end
+  while #row.messages > BEFORE + 1 + card.behind do table.remove(row.messages, 1) end
+  add_sources(row, card, all)
   return row
+end
+
+-- Print a card.
+local function print_card(context, title, row, notes)
+  for _, section in ipairs(context.json and SECTIONS or {}) do
+    row[section.name] = output.objects(section.keys, row[section.name])
+  end
+  output.print(context, title, M.COLUMNS, { row }, notes)
+  for _, section in ipairs(context.json and {} or SECTIONS) do
+    local list = row[section.name]
+    context.out(("\n%s%s\n"):format(section.title, list[1] and ":" or ": none"))
+    if list[1] then output.table(context, section.columns, list) end
+  end
 end
 
 --- End, see stat.answer.
 function Fault:finish(ending, notes)
   local context, card, count = self.context, self.card, lists.count_text(self.count, ending)
   local code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
-  if not card then
-    local rows = context.json and { { incidents = self.count } } or {}
-    output.print(context, "YAPP fault: " .. count, M.COLUMNS, rows, notes)
-    if self.is_first then return code end
-    return output.EXIT_UNDECIDED, MISSING:format(self.count)
+  if card then
+    local title = ("YAPP fault: %d of %s"):format(card.number, count)
+    print_card(context, title, row_of(self, card, ending), notes)
+    return code
   end
-  local rows = find_rows(self, card, ending)
-  local row = card_row(self, card, rows, ending.lacks_times)
-  local title = ("YAPP fault: %d of %s"):format(card.number, count)
-  output.print(context, title, M.COLUMNS, { row }, notes)
-  for _, section in ipairs(context.json and {} or SECTIONS) do
-    local list = rows[section.name]
-    context.out(("\n%s%s\n"):format(section.title, list[1] and ":" or ": none"))
-    if list[1] then output.table(context, section.columns, list) end
-  end
-  return code
+  local rows = context.json and { { incidents = self.count } } or {}
+  output.print(context, "YAPP fault: " .. count, M.COLUMNS, rows, notes)
+  if self.is_first then return code end
+  return output.EXIT_UNDECIDED, MISSING:format(self.count)
 end
 
 return M

@@ -188,12 +188,7 @@ function Groups:add_event(event)
   if kind == "absent" then self.absent[event.source] = true end
   local group = row.scope == "capture" and self.capture or self.by_source[event.source]
   count_event(group, row.counts_as or kind, event, values[row.amount])
-  if kind ~= "silence" then return end
-  if values.is_last then
-    group.silent = values.length
-  else
-    count_event(group, "late", event)
-  end
+  if values.is_last then group.silent = values.length end
 end
 
 --- Return the mean gap in seconds, nil for fewer than two messages.

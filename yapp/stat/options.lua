@@ -27,21 +27,25 @@ local function read_integer(value)
   return tonumber(value:match("^[1-9]%d*$"))
 end
 
--- How the value of an option is read, by the word that stands for it: in junit=FILE it is FILE.
-local READERS = { FILE = tostring, NAME = tostring, NUMBER = read_integer, BITS = read_integer }
-
 local read_rules
+
+-- Return the value of an option: of junit=FILE a text, of bitrate=BITS a number, of json or
+-- stop=fault what stands there; nil or false for another one.
+-- shape  what the row of the statistic has behind the name
+local function read_value(shape, value)
+  if shape == "NUMBER" or shape == "BITS" then return read_integer(value) end
+  if shape == "FILE" or shape == "NAME" then return value end
+  return shape == value and (value == "" or value)
+end
 
 -- Read an option that the row of the statistic names, or what only this statistic reads.
 local function read_option(options, part)
   local row, name, value = options.row, part:match("^(%l+)%s*=%s*(.*)$")
-  name, value = name or part, value or ""
   for word, shape in row.options:gmatch("(%l+)=?(%w*)") do
-    local read, found = READERS[shape], shape == value and (value == "" or value)
-    if word == name and read then found = read(value) end
-    if word == name and found then
-      if name == "rules" then return read_rules(options, value) end
-      options[name] = found
+    local found = word == (name or part) and read_value(shape, value or "")
+    if found and word == "rules" then return read_rules(options, found) end
+    if found then
+      options[word] = found
       return
     end
   end

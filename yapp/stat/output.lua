@@ -163,6 +163,19 @@ for _, column in ipairs(input.rows("name type help", {
   COMMON[column.name] = column
 end
 
+-- Return the columns that people read, a list of { name, title }.
+-- names    a text
+-- by_name  the columns that have a title
+local function list_columns(names, by_name, is_window)
+  local list = M.words(names)
+  for i, name in ipairs(list) do
+    local column = by_name[name] or COMMON[name] or {}
+    local title = is_window and column.short or column.title or name
+    list[i] = { name = name, title = title }
+  end
+  return list
+end
+
 --- Describe the columns of a table.
 -- rows     the name of a column of COMMON, or { name, type, help,
 --            type   in JSON: "integer", "id", "number", "seconds", "time" (seconds since 1970),
@@ -175,21 +188,20 @@ end
 -- window   the same in a window, which is narrow; nil for the same columns
 -- returns  { json = list of names, text, window = lists of { name, title }, all = all rows }
 function M.columns(rows, text, window)
-  local by_name, columns = setmetatable({}, { __index = COMMON }), { json = {}, all = {} }
+  local all, json, by_name = {}, {}, {}
   for i, row in ipairs(rows) do
     local column = COMMON[row] or input.rows("name type help", { row })[1]
-    columns.all[i], by_name[column.name] = column, column
-    if column.type then table.insert(columns.json, column.name) end
+    local name, unit = column.name, column.unit
+    column.title = column.title or unit and name .. "/" .. unit or name
+    all[i], by_name[name] = column, column
+    if column.type then json[#json + 1] = name end
   end
-  for place, names in pairs { text = text, window = window or text } do
-    columns[place] = M.words(names)
-    for i, name in ipairs(columns[place]) do
-      local column = by_name[name] or {}
-      local title = column.title or column.unit and name .. "/" .. column.unit or name
-      columns[place][i] = { name = name, title = place == "window" and column.short or title }
-    end
-  end
-  return columns
+  return {
+    all = all,
+    json = json,
+    text = list_columns(text, by_name),
+    window = list_columns(window or text, by_name, true),
+  }
 end
 
 --- A list of an object for each row; its keys are those given, or its own.
@@ -312,12 +324,11 @@ function M.create(path, advice)
   local there = advice and io.open(path, "rb")
   if there then
     there:close()
-    return nil, ("%s is there; %s"):format(path, advice)
+    return nil, path .. " is there; " .. advice
   end
   local aside = path:find("^/dev/") and path or path .. ".part"
   local handle, problem = io.open(aside, "wb")
   if not handle then return nil, problem end
-  handle:setvbuf("full", 65536)
   return setmetatable({ path = path, aside = aside, handle = handle }, File)
 end
 
@@ -330,19 +341,18 @@ end
 -- problem  an error of before, nil for none
 -- returns  an error, nil for none
 function M.close_files(list, problem)
-  local function note(file, why)
-    if why then problem = problem or file.path .. ": " .. why end
-  end
   for _, file in ipairs(list) do
-    note(file, file.problem or select(2, file.handle:close()))
+    local _, why = file.handle:close()
+    why = file.problem or why
+    problem = problem or why and file.path .. ": " .. why
   end
   for _, file in ipairs(list) do
     local path, aside = file.path, file.aside
     if problem and path ~= aside then
       os.remove(aside)
-    elseif path ~= aside and not os.rename(aside, path) then
+    elseif path ~= aside then
       os.remove(path) -- on Windows a rename does not replace a file
-      note(file, select(2, os.rename(aside, path)))
+      problem = select(2, os.rename(aside, path))
     end
   end
   return problem

@@ -16,7 +16,6 @@ local M = {}
 
 local HAS_SHELL = package.config:sub(1, 1) == "/"
 local DEFAULT_WIDTH, DEFAULT_HEIGHT = 80, 24 -- of a terminal
-local STEP = 10000 -- packets from one note of progress to the next
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
 local MAY_GO_ON = not (IS_TSHARK or yapp_is_whole) -- a live capture; a page opens whole ones
 local HINT = "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
@@ -62,7 +61,6 @@ Stat.__index = Stat
 --   calls      { begun, ended = numbers }: of these calls since the capture was opened }
 function M.new(parts)
   parts.show = nil -- in Wireshark: function(text), which opens the window of an argument of -z
-  parts.on_progress = nil -- while a window of Wireshark waits for an answer
   parts.total = 0 -- in Wireshark: number of packets in the capture
   return setmetatable(parts, Stat)
 end
@@ -182,14 +180,6 @@ local function close(self)
   self.reading:listen(false)
 end
 
--- Return whether -c may have stopped the reading of a file.
-local function is_stopped(self, packets)
-  local options, in_file = self.options, self.buses.found.count
-  local limit = options.r and tonumber(options.c)
-  if not limit or in_file > 0 and in_file <= limit then return false end
-  return packets >= limit or options.R ~= nil -- a read filter leaves out some
-end
-
 -- Return why packets of the capture were not read, nil if all were.
 local function explain_unread(self)
   local packets, unread, options = self.current.packets, self.current.unread, self.options
@@ -197,7 +187,9 @@ local function explain_unread(self)
   local count = output.count(packets, "packet")
   if options.b or options["ring-buffer"] then return GOES_ON:format(count) end
   if unread > 0 then return RESET:format(packets, packets + unread) end
-  if is_stopped(self, packets) then return STOPPED:format(count) end
+  local in_file, limit = self.buses.found.count, options.r and tonumber(options.c)
+  local may_be_stopped = limit and (in_file > limit or in_file == 0 and packets >= limit)
+  if may_be_stopped then return STOPPED:format(count) end
   return self.buses:is_cut() and CUT or nil
 end
 
@@ -267,8 +259,7 @@ end
 -- context  { out, frames } of output.print
 local function begin_statistic(self, text, context)
   local options, run = options_of.parse(text, self.settings.catalogue), self.current
-  -- In tshark, check names errors in its report, too.
-  if options.problems[1] and (context.frames or options.what ~= "check") then
+  if options.problems[1] and options.what ~= "check" then -- which names them in its report, too
     error(table.concat(options.problems, "\n"), 0)
   end
   local filter, row = options.filter, options.row
@@ -291,11 +282,10 @@ end
 
 --- Run a statistic over all packets, in Wireshark.
 -- text     as behind -z
--- on_progress  function(number of packets read), called from time to time, or nil
 -- returns  its output and the problems, as one text; a list of the frames in it
-function Stat:run(text, on_progress)
+function Stat:run(text)
   if self.is_reading then return BUSY, {} end
-  self.is_reading, self.on_progress = true, on_progress
+  self.is_reading = true
   local said, frames = {}, {}
   local function out(chunk) said[#said + 1] = chunk end
   open(self)
@@ -306,7 +296,7 @@ function Stat:run(text, on_progress)
   end)
   close(self)
   self.unwatch()
-  self.is_reading, self.on_progress = false, nil
+  self.is_reading = false
   local answer = table.concat(said)
   for _, problem in ipairs(ok and texts or { tostring(texts) }) do
     if not answer:find(problem, 1, true) then answer = answer .. problem .. "\n" end
@@ -369,14 +359,12 @@ function Stat:begin(text)
 end
 
 --- Register the menus of Wireshark, and count the packets of a capture there, where the user may
--- stop a statistic's reading: its window shows how far that is.
+-- stop a statistic's reading.
 function Stat:register_menus()
   local tap, show, on_packets = Listener.new("frame"), windows.register(self)
   self.show = show
   function tap.packet(pinfo)
-    local number = pinfo.number
-    if number > self.total then self.total = number end
-    if self.on_progress and number % STEP == 0 then self.on_progress(number) end
+    self.total = math.max(self.total, pinfo.number)
   end
   function tap.draw()
     on_packets()

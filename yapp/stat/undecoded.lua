@@ -41,9 +41,11 @@ local function describe(own, likes)
 end
 
 local function new_entry(self, source, size, rest)
-  local own, messages = source.type, self.settings.catalogue.messages
-  local is_grown = own and size > own.size -- it begins with the own message
-  local likes = is_grown and {} or compiler.of_size(messages, size)
+  local own, likes = source.type, {}
+  -- What is longer than its own message begins with it.
+  if not own or size <= own.size then
+    likes = compiler.of_size(self.settings.catalogue.messages, size)
+  end
   local about, like = describe(own, likes), likes[1]
   local note = rest and ("the last %d not decoded, "):format(rest) or "not decoded, "
   return {
@@ -114,18 +116,16 @@ end
 
 -- Return the complete preferences that decode the rest: a text, "" for none.
 local function advice_of(self)
-  local settings, types, texts = self.settings, types_by_id(self), {}
+  local settings, ids_by_type, advice = self.settings, memo(function() return {} end), ""
+  for id, like in pairs(types_by_id(self)) do table.insert(ids_by_type[like], id) end
   for _, message_type in ipairs(settings.catalogue.messages) do
-    local ids = {}
-    for id, like in pairs(types) do
-      if like == message_type then ids[#ids + 1] = id end
-    end
+    local ids = ids_by_type[message_type]
     if ids[1] then
       ids = M.ranges_of(joined(ids, settings.ids[message_type.name]))
-      texts[#texts + 1] = ("-o yapp.%s_ids:%s"):format(message_type.name, ids)
+      advice = advice .. (" -o yapp.%s_ids:%s"):format(message_type.name, ids)
     end
   end
-  return texts[1] and ". Try " .. table.concat(texts, " ") or ""
+  return advice ~= "" and ". Try" .. advice or ""
 end
 
 -- Texts -------------------------------------------------------------------------------------------
@@ -133,22 +133,22 @@ end
 -- "648 messages were not decoded: can1 0x211, 0x212 (32 bytes each, the size of Motor Data)", of
 -- entries, which it sorts; nil if there are none.
 local function text_of(entries, what)
+  if not entries[1] then return nil end
   local shapes, texts, total = {}, {}, 0
-  local by_shape = memo(function() return { count = 0 } end, shapes) -- lists of names
+  local by_about = memo(function() return { names = {}, count = 0 } end, shapes)
   output.sort(entries, function(entry) return entry.source.bus or "", entry.source.id end)
   for _, entry in ipairs(entries) do
     local source, count = entry.source, entry.values.count
-    local shape = by_shape[entry.size .. entry.about]
+    local shape = by_about[entry.size .. entry.about]
     local is_same = shape.bus == source.bus
-    shape[#shape + 1] = is_same and ("0x%x"):format(source.id) or output.bus_and_id(source)
+    table.insert(shape.names, is_same and ("0x%x"):format(source.id) or output.bus_and_id(source))
     shape.bus, shape.entry = source.bus, entry
     shape.count, total = shape.count + count, total + count
   end
   for i, shape in ipairs(shapes) do
     local form = shape.count > 1 and "%s (%d bytes each, %s)" or "%s (%d bytes, %s)"
-    texts[i] = form:format(table.concat(shape, ", "), shape.entry.size, shape.entry.about)
+    texts[i] = form:format(table.concat(shape.names, ", "), shape.entry.size, shape.entry.about)
   end
-  if total == 0 then return nil end
   return ("%s %s: %s"):format(output.were(total, "message"), what, table.concat(texts, "; "))
 end
 

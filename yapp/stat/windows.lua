@@ -13,7 +13,6 @@ local M = {}
 local MAX_FRAMES = 1000 -- in a display filter: more make Wireshark slow
 
 local MAX_SECONDS = 1 -- of reading: a window that takes longer is not refreshed by itself
-local READING = "Reading: %d of %d packets\n"
 local OLD = "More packets have come: press Refresh\n\n"
 local DECODE = "Decode unknown IDs by size"
 local ADVICE = ". Tools > YAPP > " .. DECODE .. " decodes them"
@@ -93,45 +92,35 @@ local function with_menus(answer)
 end
 
 -- Open a window with a text.  Its buttons make the text anew, copy it, show its frames.
--- make  function(on_progress) -> the text, the frames; see Stat:run
+-- make  function() -> the text, the frames
 -- stat  of stat.taps
 local function open_window(title, make, stat)
-  local window, content, frames = TextWindow.new("YAPP " .. title), nil, nil
+  local window, content, frames = TextWindow.new("YAPP " .. title), "", {}
   local total = math.huge -- of the reading; so many while it goes on, or if its text is old
   local seconds = 0 -- that it took
-  -- A closed window takes no text; the reading may go on without it.
-  local function set_text(text)
-    if on_packets_of[window] then window:set(text) end
-  end
-  local function on_progress(number)
-    set_text(READING:format(number, stat.total))
-  end
-  local function refresh(progress)
+  local function refresh()
     local begin = os.clock()
     total = math.huge
-    content, frames = make(progress)
+    content, frames = make()
     content = with_menus(content)
     total, seconds = stat.total, os.clock() - begin
-    set_text(content)
-  end
-  local function refresh_by_hand()
-    on_progress(0)
-    refresh(on_progress)
+    -- A closed window takes no text; the reading may go on without it.
+    if on_packets_of[window] then window:set(content) end
   end
   -- A window whose reading takes long says once that it is old.
   on_packets_of[window] = function()
     if stat.total <= total then return end
     if seconds < MAX_SECONDS then return refresh() end
     total = math.huge
-    set_text(OLD .. content)
+    window:set(OLD .. content)
   end
   window:set_atclose(function()
     on_packets_of[window] = nil
   end)
-  window:add_button("Refresh", refresh_by_hand)
+  window:add_button("Refresh", refresh)
   window:add_button("Copy", function() copy_to_clipboard(content) end)
   window:add_button("Show frames", function() show_frames(frames) end)
-  refresh_by_hand()
+  refresh()
 end
 
 -- Decode all unknown IDs of the capture that have the size of a message as that message, and say
@@ -183,9 +172,7 @@ function M.register(stat)
   -- count too.
   local function show(argument)
     local row = options_of.BY_NAME[argument:match("^yapp,(%w+)")]
-    open_window(row and row.title or "", function(on_progress)
-      return stat:run(argument, on_progress)
-    end, stat)
+    open_window(row and row.title or "", function() return stat:run(argument) end, stat)
   end
 
   for _, row in ipairs(options_of.MENUS) do
