@@ -302,16 +302,3 @@ def test_the_step_of_the_page(folder, project, flights, capture, code):
     assert (folder / "report.xml").exists()
 
 
-@pytest.mark.parametrize("capture, code", [pytest.param("clean.pcapng", 0, marks=levels.deep), ("fault.pcapng", 20)])
-def test_the_command_of_the_page(folder, project, flights, capture, code):
-    project.rename(folder / "yapp")
-    shutil.copy(flights / capture, folder / "run.pcapng")
-    command = re.search(r"```sh\n(yapp/.*?)\n```", PAGE)[1]
-    assert run(["bash", "-c", command], folder).returncode == code
-
-
-@levels.without_tshark("of the page alone")
-def test_the_page_names_every_input():
-    assert re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)[:5] == ["capture", "rules", "sources", "messages", "junit"]
-
-

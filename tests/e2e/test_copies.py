@@ -96,17 +96,15 @@ def test_a_flight_that_was_recorded_twice(folder, how, share):
         assert events[0] == events[1] and (events[0] != []) == (flight is FAULTY)
 
 
-@pytest.mark.parametrize("times, delay", [(2, 0), (2, 200), (3, 900)])
-def test_a_byte_stream_over_datagrams_that_was_recorded_twice(folder, times, delay):
-    """A bridge cuts its frames; each datagram comes once more, at once or some microseconds later, between those of its frame.
-    The copies damage the frames, and nothing passes for good: messages are lost, and that is said."""
+def test_a_byte_stream_over_datagrams_that_was_recorded_twice(folder):
+    """A bridge cuts its frames; each datagram comes once more, 0.2 ms later, between those of its frame.  The copies damage the
+    frames, and nothing passes for good: messages are lost, and that is said."""
     data = (CASES / "udp_bridge_40.pcap").read_bytes()
-    assert data[:4] == b"\xd4\xc3\xb2\xa1"
     records, at = [], 24
     while at < len(data):
         second, micro, size = struct.unpack_from("<III", data, at)
         stamp = second * 10**6 + micro
-        records += [(stamp + copy * delay, data[at + 8:at + 16 + size]) for copy in range(times)]
+        records += [(stamp + copy, data[at + 8:at + 16 + size]) for copy in (0, 200)]
         at += 16 + size
     records.sort(key=lambda record: record[0])
     path = folder / "twice.pcap"

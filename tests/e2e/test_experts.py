@@ -17,7 +17,6 @@ import expected  # noqa: E402
 import make  # noqa: E402
 
 pytestmark = [levels.by_route, levels.together("captures")]
-WIDE = ["-o", "yapp.all_extended:TRUE"]
 
 # Expert item, capture, its frames; its line in tshark -z expert: severity, text; and what stands in the tree of the
 # first of the frames, by the numbers and names of this packet.
@@ -146,11 +145,6 @@ CLAIMED = {
     "ctl_nonzero": [],
     "fd_padding_nonzero": [],
 }
-
-
-@levels.without_tshark("of the texts of the captures alone")
-def test_captures_that_need_the_preference():
-    assert set(CLAIMED) == {name for name in make.names() if make.read(name).options == WIDE}
 
 
 @pytest.mark.parametrize("name", CLAIMED)

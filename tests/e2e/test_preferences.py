@@ -108,13 +108,6 @@ def test_user_dlt(choice, passes):
         {1: "Motor Data"} if "147" in choice else {})
 
 
-@pytest.mark.parametrize("setting", ["yapp.motor_ids:0x800", "yapp.user_dlt:163"])
-def test_nonsense_is_refused(setting):
-    done = tshark.run("-r", make.capture("document_command")[0], "-o", setting, check=False)
-    assert done.returncode != 0
-    assert setting in done.stderr
-
-
 @pytest.mark.parametrize("setting, said", [
     ("sources:0x210=moter:left", 'yapp.sources: no message "moter" in "0x210=moter:left"; known messages: ' +
      ", ".join(message[0] for message in model.MESSAGES.values())),
@@ -187,40 +180,6 @@ def test_no_catalogue(folder):
     stderr, decoded = decoded_with(load, write(folder, *ALL_THREE), options)
     assert len(stderr) == 1 and "taurus_fields.lua: cannot be read" in stderr[0] and "not decoded" in stderr[0]
     assert decoded == {}
-
-
-NEW_MESSAGE = """
-  {
-    name = "esc", title = "ESC Status", id = 0x7A0, size = 6, info = "{mode}  {load:%.1f} %",
-    { "mode", "uint8", "Mode", values = { [0] = "Off", [1] = "On" } },
-    { "load", "float8", "Load", min = 0, max = 100, unit = "%" },
-    { "flags", "uint16", "Flags", group = "flag", alarm = true, flags = { { "hot", 0x1, "Too hot" },
-      { "cold", 0x8000, "Too cold" } } },
-    { "counter", "uint16", "Counter" },
-  },
-}
-"""
-
-
-def test_adding_a_message_is_adding_an_entry(folder):
-    options, load = with_catalogue(folder, CATALOGUE.rstrip()[:-1] + NEW_MESSAGE)
-    path = write(folder, "can0 [7A0 01 7D 01 80 34 12]", "can0 [7A0 02 FF 02 00 00 00]", "can0 [7A1 00 00 00 00 00 00]",
-                 *ALL_THREE)
-    names = ["mode", "load", "load.special", "flags", "flag.hot", "flag.cold", "counter"]
-    wanted = [part for name in names for part in ("-e", f"taurus.esc.{name}")]
-    done = tshark.run(*load, "-r", path, "-o", "yapp.esc_ids:0x7A0,0x7A1", "-T", "fields", "-e",
-                      expected.column("Info"), *wanted, "-e", "taurus.value.invalid", "-e", "taurus.flags.undefined",
-                      "-e", "taurus.fault.active", **options)
-    rows = [[{"True": "1", "False": "0"}.get(value, value) for value in line.split("\t")]
-            for line in done.stdout.splitlines()]
-    assert [row[0] for row in rows[:3]] == ["FAULT hot, cold  ESC Status  On  50.0 %",
-                                            "FAULT undefined 0x2  cleared hot, cold  ESC Status  invalid 0x2  NaN %",
-                                            "ESC Status 0x7a1  Off  0.0 %"]
-    assert rows[0][1:8] == ["0x01", "50", "", "0x8001", "1", "1", "4660"]
-    assert rows[1][1:8] == ["0x02", "", "0", "0x0002", "0", "0", "0"]
-    assert [[bool(value) for value in row[8:]] for row in rows[:3]] == [
-        [False, False, True], [True, True, True], [False, False, False]]
-    assert "Motor Data" in rows[3][0] and len(rows) == 3 + NUMBERS["Command"]
 
 
 # Where it is installed -------------------------------------------------------------------------------------------

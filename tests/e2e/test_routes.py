@@ -98,12 +98,6 @@ def test_lines_with_a_prefix(folder, prefix):
     assert (folder / "run.log").read_text().splitlines() == LOG
 
 
-def test_journal(folder):
-    shutil.copy(CASES / "journal.txt", folder / "run.txt")
-    run(folder, *commands("Lines with a prefix"))
-    assert motor_count(folder / "run.log") == 60
-
-
 def log_frames():
     for line in LOG:
         stamp, _, frame = line.split()

@@ -168,13 +168,6 @@ def assert_not_judged(path, *arguments, faults=()):
     assert [(row["kind"], row["event"]) for row in events] == list(faults)
 
 
-@levels.by_version
-@pytest.mark.parametrize("passes", [[], ["-2"]], ids=["one pass", "two"])
-@pytest.mark.parametrize("name", ["udp_packed.pcap", "one_second_stamps.log"])
-def test_stamps_of_packets_and_of_whole_seconds(name, passes):
-    assert_not_judged(CASES / name, *passes, faults=[("fault", what) for what in ("raised", "raised", "cleared", "cleared")])
-
-
 @pytest.mark.parametrize("seed", range(levels.size(2, 12)))
 def test_flights_with_coarse_stamps(folder, seed):
     """Of whole or of half seconds."""

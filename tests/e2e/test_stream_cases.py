@@ -171,12 +171,6 @@ def test_datagrams_of_others_in_a_conversation(passes):
 
 # Telnet ----------------------------------------------------------------------------------------------------------
 
-def test_telnet_is_no_raw_mode():
-    """A server in telnet mode sends each byte 0xFF twice: that is said, and no gate passes."""
-    done = tshark.run("-q", "-r", CASES / "telnet_iac_4001.pcap", "-z", "yapp,check,json", check=False)
-    rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    assert done.returncode == 20 and [row["seen"] for row in rows if row["rule"] == "crc=0"] == [20]
-
 
 # Directions ------------------------------------------------------------------------------------------------------
 

@@ -8,7 +8,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -67,15 +66,6 @@ def test_graphs(capture):
         # The commanded speed is a plus, whose lines are thin.
         for colour, least in (("#0072b2", 100), ("#003050", 100), ("#e69f00", 8)):
             assert wireshark.pixels(colour) > least, colour
-
-
-@pytest.mark.skipif(VERSION < (4, 4), reason="from 4.4 on")
-def test_it_is_switched_to(capture):
-    with gui.Wireshark("-r", capture, profile=PROFILE) as wireshark:
-        wireshark.wait_for_window("flight.pcapng")
-        wait_for_words(wireshark, ["Profile: YAPP"], f"300x30+{gui.WIDTH - 300}+{gui.HEIGHT - 30}")
-        time.sleep(1)
-        assert len(wireshark.windows()) == 1
 
 
 @pytest.mark.skipif(VERSION < (4, 6), reason="from 4.6 on")
@@ -150,22 +140,6 @@ def test_a_controller_is_named_by_its_menu(capture):
         name(wireshark, 5, "left")
         gui.wait_for(lambda: "yapp.sources: can1/0x210=right, can0/0x210=left\n" in preferences.read_text())
         wait_for_words(wireshark, ["left"], f"{gui.WIDTH}x80+0+60")
-        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
-
-
-@from_4_4
-def test_a_controller_of_a_stream_is_named_by_its_menu():
-    """One of three that send UDP; the column Source shows what differs first."""
-    path = gui.tshark.CAPTURES / "cases/udp_three_controllers.pcap"
-    items = [item for item in ITEMS if item != "Whole message"]
-    with gui.Wireshark("-C", "YAPP", "-r", path, profile=PROFILE) as wireshark:
-        preferences = wireshark.home / ".config/wireshark/profiles/YAPP/preferences"
-        wireshark.wait_for_window(path.name)
-        name(wireshark, 2, "right", path.name, items)
-        gui.wait_for(lambda: "yapp.sources: 192.168.1.12:40000/0x210=right\n" in preferences.read_text())
-        wireshark.filter("udp")
-        wireshark.keys("Escape")
-        wait_for_words(wireshark, ["right", "40000"], f"{gui.WIDTH}x200+0+60")
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
 
 
