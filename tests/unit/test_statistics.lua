@@ -1349,6 +1349,8 @@ function T.test_wrong_options_are_named()
     ["watch,stop=now"] = "stop=now: the options of watch are json, rules=FILE, stop=fault, stop=rule, bitrate=BITS, filter=EXPRESSION",
     ["watch,stop=rule"] = "watch: stop=rule is about rules=FILE",
     ["check,fault"] = 'fault: "" is not a number',
+    ["check,source=a,source=b,crc=0"] = "check: no rule follows source=a",
+    ["check,crc=0,source=a"] = "check: no rule follows source=a",
     ["check,crc=-1"] = 'crc=-1: "-1" is not a number',
     ["check,motor.rate=nan"] = 'motor.rate=nan: "nan" is not a number',
     ["check,motr.rate=1"] = 'motr.rate=1: no message "motr"; known: motor, note, health',

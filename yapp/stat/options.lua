@@ -38,12 +38,18 @@ local function read_value(shape, value)
   return shape == value and (value == "" or value)
 end
 
+-- The rules that follow are about one source.
+local function name_source(options, name)
+  options.source, options.waiting[name] = name, true
+end
+
 -- Read an option that the row of the statistic names, or what only this statistic reads.
 local function read_option(options, part)
   local row, name, value = options.row, part:match("^(%l+)%s*=%s*(.*)$")
   for word, shape in row.options:gmatch("(%l+)=?(%w*)") do
     local found = word == (name or part) and read_value(shape, value or "")
     if found and word == "rules" then return read_rules(options, found) end
+    if found and word == "source" then return name_source(options, found) end
     if found then
       options[word] = found
       return
@@ -64,13 +70,14 @@ local function add_rule(options, text)
   local rule = rules_of.parse(text, options)
   table.insert(options.rules, rule)
   options.rules[rule.name] = rule
+  options.waiting[options.source or false] = nil
   return rule
 end
 
 local function read_line(options, text)
   local source = text:match("^source%s*=%s*(.+)$")
   if not source then return add_rule(options, text) end
-  options.source = source
+  name_source(options, source)
 end
 
 -- The rules of a file, one a line.  A # behind a blank begins a comment.
@@ -95,13 +102,14 @@ local function finish_check(options)
   if rules[1] or options.problems[1] then
     options.source = nil
     -- No rule can check a message that was not decoded.
-    return rules.unknown or add_rule(options, "unknown=0")
-  end
-  for _, kind in ipairs(kinds.RULES) do
-    if not kind.is_optional then
-      add_rule(options, kind.name .. "=0").is_default = true
+    if not rules.unknown then add_rule(options, "unknown=0") end
+  else
+    for _, kind in ipairs(kinds.RULES) do
+      if not kind.is_optional then add_rule(options, kind.name .. "=0").is_default = true end
     end
   end
+  local name = next(options.waiting)
+  demand(not name, "no rule follows source=%s", name)
 end
 
 local function parse_csv(options, part)
@@ -217,12 +225,14 @@ end
 -- returns    { row = of LIST, nil if there is none; what = its name; filter = or nil; the options
 --            that it names, as json = true; rules = list, and by name; folder, chosen = of csv;
 --            number = of fault; statistics = LIST; place = "FILE:7: " while a file is read;
---            problems = list of texts, each names its option }
+--            problems = list of texts, each names its option; waiting = set of names that no
+--            rule follows yet }
 function M.parse(text, catalogue)
   local head, filter = text:match("^(.-),%s*filter%s*=(.*)$") -- a display filter, commas and all
   local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")
   local row, names = find(M.LIST, trim(what or ""))
-  local options = { row = row, statistics = M.LIST, filter = filter, rules = {}, problems = {} }
+  local options = { row = row, statistics = M.LIST, filter = filter, rules = {}, problems = {},
+    waiting = {} }
   if not row then
     options.problems[1] = ("%s: no such statistic; known: %s"):format(text, names)
     return options
