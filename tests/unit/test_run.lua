@@ -52,8 +52,9 @@ local function notes(code, text)
 end
 
 local function event_of(frame, name, kind, values)
-  local m = { seq = 0, raws = name }
-  return kinds.new_event(kind or "message", frame, frame, SOURCE, values, m)
+  local m = { seq = 0, raws = name, remarks = {} }
+  for key, value in pairs(values or {}) do m[key] = value end
+  return kinds.new_event(kind or "message", frame, frame, SOURCE, m, m)
 end
 
 local function offer(queue, frame, name, values, visited)

@@ -84,27 +84,6 @@ function T.test_when_it_shows()
   end
 end
 
--- Since when it explains what was said of the source: the first change in a row with less than 22 messages between.
-function T.test_since_when_it_explains()
-  local calm = {}
-  for i = 1, 40 do calm[i] = 60 + i / 10 end
-  for _, row in ipairs {
-    { 2, { 100.0, 7.2, 100.1, 7.3 } },
-    { 2, { 7.2, 100.0, 7.3, 100.1, 7.4 } }, -- it jumps first
-    { 3, { 90.0, 90.1, 3.0, 3.1, 100.0, 3.2, 100.1, 3.3, 100.2 } }, -- a reboot just before may be of the same
-  } do
-    local h, since = new(), nil
-    for _, m in ipairs(clocks(0.05, row[2])) do since = (h:add(m) or {}).shared or since end
-    lu.assertEquals(since, row[1])
-    local list = { 5.0 } -- a reboot long before is none of it
-    for _, clock in ipairs(calm) do list[#list + 1] = clock - 60 end
-    for _, clock in ipairs(row[2]) do list[#list + 1] = clock end
-    h, since = new(), nil
-    for _, m in ipairs(clocks(0.1, list)) do since = (h:add(m) or {}).shared or since end
-    lu.assertEquals(since >= 42, true)
-  end
-end
-
 -- In a raw dump the time of a message is its controller's clock.
 function T.test_dumps()
   local function looped(uptime, step, count)

@@ -27,10 +27,6 @@ local LARGE_RETURN = 50 -- evidence of a return from a large fall; from a small 
 local FADE = 0.85 -- per message: evidence of 50 stays above ENOUGH for 22 messages
 local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
 
--- A shared source looks like one that reboots, jumps and is silent until there is enough evidence:
--- so many messages lie between these at most.
-local MAX_CALM = 22
-
 local NO_TYPE = { flag_fields = {} }
 local UNRELIABLE = { unreliable = true } -- of many messages: to be read only
 
@@ -86,9 +82,6 @@ local function new_source(self, message)
     lead = 0, -- seconds that it gained on the capture's clock since its first fall
     falls = {}, -- { lead before it, size }, the latest first; none from which the clock returned
     evidence = 0,
-    count = 0, -- number of good messages
-    doubtful_count = -huge, -- the same at the latest one that a shared source may explain
-    doubtful_key = nil, -- frame key of the first of these, with less than MAX_CALM between them
     shared_key = huge, -- frame key of the message that proves that controllers share the source
     base_keys = {}, -- ascending, frame keys: the first clock, and reboots
     bases = {}, -- of each: seconds of the controller's clock less the capture's
@@ -233,13 +226,6 @@ end
 -- stat.kinds (its event) and a row of show.fields (its expert item).
 local DETECTORS = { detect_clock, detect_flags, detect_faults, detect_missing, detect_late }
 
--- Mark a message whose change a shared source may explain.
-local function mark_doubtful(source, key, change)
-  if not (change.reboot or change.jump or change.stale or change.late) then return end
-  if source.count - source.doubtful_count > MAX_CALM then source.doubtful_key = key end
-  source.doubtful_count = source.count
-end
-
 -- Return the change of a good message, nil for none.
 local function update(source, message, delta, time, clock)
   local change = nil
@@ -250,15 +236,9 @@ local function update(source, message, delta, time, clock)
       change[name] = value
     end
   end
-  local key = message.key
-  source.count = source.count + 1
-  if change and change.shared then
-    source.shared_key = key
-    change = { shared = source.doubtful_key or key, unreliable = true }
-  elseif change then
-    mark_doubtful(source, key, change)
-  end
-  return change
+  if not (change and change.shared) then return change end
+  source.shared_key = message.key
+  return { shared = true, unreliable = true }
 end
 
 -- Return the even time of a good message, nil while nothing tells whether the capture's clock was
@@ -286,8 +266,7 @@ end
 --   flags    list of { field, value, raised = mask, cleared = mask } of the fields whose flags
 --            changed
 --   faults   of these flags the faults that rise or fall, see message.faults
---   shared   at the message that proves that several controllers share the source: frame key of the
---            message since when they explain its reboots, jumps, stale clocks and late messages
+--   shared   true at the message that proves that several controllers share the source
 --   unreliable  true at the messages behind that one, which get nothing else }
 --          and the seconds since the source's previous good message, false for the first, and
 --          where nothing tells them

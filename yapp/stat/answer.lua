@@ -13,7 +13,6 @@
 local fault_event = require("yapp.stat.events").fault_event
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
-local number_of = require("yapp.base.frame_key").number
 local output = require "yapp.stat.output"
 local undecoded = require "yapp.stat.undecoded"
 
@@ -27,7 +26,6 @@ local MANY_STEPS = ", and who is silent at the end is not known"
 local LEFT_OUT = "changes of faults, reboots and gaps are unreliable and left out"
 local UNRELIABLE = "nothing tells the buses of %s apart: " .. LEFT_OUT
 local SHARED = "two controllers appear to send %s: from frame %d on " .. LEFT_OUT
-local SHARED_BEFORE = "; its reboots, jumps and silences are left out from frame %d on"
 local COPIED = " recorded twice; each counts once"
 local HIDDEN = "damaged or lost messages may hide faults: "
 
@@ -63,17 +61,15 @@ end
 local function add_unreliable(self, event)
   local source, texts, change = event.source, self.unreliable, event.values.change
   if texts[source] then return end
-  local shared = change and change.shared
-  local since, shape = shared and number_of(shared), shared and SHARED or UNRELIABLE
-  if since and since < event.frame then shape = shape .. SHARED_BEFORE end
+  local shape = change and change.shared and SHARED or UNRELIABLE
   texts[source] = true
-  texts[#texts + 1] = shape:format(output.bus_and_id(source), event.frame, since)
+  texts[#texts + 1] = shape:format(output.bus_and_id(source), event.frame)
 end
 
 local function add_message(self, event)
   local source, values = event.source, event.values
-  if values.size then
-    local unknown = self.undecoded:count(source, values.size, values.undecoded)
+  if not event.raws or values.undecoded then
+    local unknown = self.undecoded:count(source, #values.payload, values.undecoded)
     self:count(kinds.new_follower("unknown", event, unknown))
   end
   if values.is_unreliable then return add_unreliable(self, event) end

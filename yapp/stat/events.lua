@@ -2,12 +2,7 @@
 -- A result of the reading becomes events; and what follows from the events of a source: faults,
 -- reboots, silences and other changes.  Pure Lua, 5.2 to 5.5.
 --
--- The values of a good message's event are kinds.NOTHING for most messages, else {
---   change         of message.history, or nil
---   invalid        list of values of `invalid` events, or nil
---   size           number of its bytes, if the catalogue does not decode all of them
---   undecoded      number of these bytes behind those that the catalogue has, or nil
---   is_unreliable  true if the past of the message is not known }
+-- The values of a good message's event are the message, see Reading:read_message.
 
 local END = require("yapp.wire.can_id").END
 local buses = require "yapp.stat.buses"
@@ -36,40 +31,6 @@ local LOSSES = {
 
 -- From a result to events ------------------------------------------------------------------------
 
--- The values of a message that the catalogue does not define; nil for none.
-local function invalid_of(message)
-  local list = {}
-  for _, remark in ipairs(message.remarks) do
-    local index, expert, is_undefined = remark[1], remark[2], remark[3]
-    if is_undefined then
-      local field, raw = message.source.type.fields[index], message.raws[index]
-      local shape = field_kinds.BY_NAME[field.kind].code or "0x%02x" -- as the document has it
-      list[#list + 1] = {
-        field = field.name,
-        value = raw,
-        code = shape:format(raw),
-        effect = expert == "command.key.invalid" and ", so it was ignored",
-      }
-    end
-  end
-  return list[1] and list
-end
-
-local function values_of(message)
-  local invalid = message.remarks[1] and invalid_of(message)
-  local is_decoded = message.raws and not message.undecoded
-  if is_decoded and not (message.change or invalid or message.is_unreliable) then
-    return NOTHING
-  end
-  return {
-    change = message.change or nil,
-    invalid = invalid or nil,
-    size = not is_decoded and #message.payload or nil,
-    undecoded = message.undecoded or nil,
-    is_unreliable = message.is_unreliable or nil,
-  }
-end
-
 local function append(list, kind, frame, values, message)
   list[#list + 1] = new_event(kind, frame.number, frame.time, frame.source, values, message)
 end
@@ -79,7 +40,7 @@ local function append_message(list, frame, message)
   if message.copy_of then
     append(list, "copies", frame, { of = message.copy_of }, message)
   elseif kind == "message" then
-    append(list, kind, frame, values_of(message), message)
+    append(list, kind, frame, message, message)
   elseif kind then
     append(list, kind, frame, kind == "incomplete" and { what = kind } or nil, message)
   end
@@ -122,7 +83,6 @@ local function new_state(source)
     last = nil, -- event of its latest good message
     faults = NOTHING, -- list of those that are set, as they rose, see message.faults
     is_numbered = false, -- true if Seq No numbers its messages: it changed
-    shared_since = math.huge, -- number of the packet from which on two controllers share it
     room = 0, -- number of messages that have room in the gaps between its messages
     room_at_end = 0, -- the same behind the last one
     room_silent = 0, -- how many of both are in silences
@@ -149,22 +109,14 @@ function M.new(settings, hand_on)
     add_bus_error = buses.new_errors(hand_on),
     states = states, -- in the order in which they came
     by_source = memo(new_state, states),
-    doubtful = {}, -- events that a `shared` behind them may explain
     has_messages = false, -- true if an event of an ID came
     undissected = {}, -- events of frames that are messages if other messages came
   }, Events)
 end
 
--- Hand on what follows from a message.
--- cause  event of the message to name; shown_in: number of the packet that shows it
-local function emit(self, kind, cause, values, shown_in)
-  local event = new_follower(kind, cause, values)
-  if kinds.BY_NAME[kind].is_doubtful then
-    event.shown_in = shown_in or cause.frame
-    table.insert(self.doubtful, event)
-  else
-    self.hand_on(event)
-  end
+-- Hand on what follows from a message, its cause.
+local function emit(self, kind, cause, values)
+  self.hand_on(new_follower(kind, cause, values))
 end
 
 -- Return the controller's clock in a message, in seconds; nil for one without it.
@@ -203,8 +155,7 @@ function M.fault_event(event, fault, what)
   })
 end
 
-local function add_changes(self, state, event, change)
-  if change.shared then state.shared_since = number_of(change.shared) end
+local function add_changes(self, event, change)
   for _, row in ipairs(kinds.CHANGES) do
     local key, value = row.change, change[row.name]
     if value then
@@ -260,16 +211,35 @@ local function add_command(self, state, event, enabled)
   self.hand_on(state.disabled)
 end
 
--- Add what a Command and its motors do.  A controller ignores a Command with an undefined key.
-local function add_motion(self, state, event)
+-- Add what a Command and its motors do.
+local function add_motion(self, state, event, is_ignored)
   local message_type, raws = event.source.type, event.raws
   if event.values.is_unreliable then return end
   if message_type.speed then add_speed(state, message_type.speed, raws) end
-  if not message_type.enables then return end
-  for _, invalid in ipairs(event.values.invalid or NOTHING) do
-    if invalid.effect then return end
-  end
+  if not message_type.enables or is_ignored then return end
   add_command(self, state, event, raws[message_type.enables.index])
+end
+
+-- Add the values that the catalogue does not define.  A controller ignores a Command with an
+-- undefined key: return whether it is so.
+local function add_invalid(self, event)
+  local is_ignored = false
+  for _, remark in ipairs(event.values.remarks) do
+    local index, expert, is_undefined = remark[1], remark[2], remark[3]
+    if is_undefined then
+      local field, raw = event.source.type.fields[index], event.raws[index]
+      local shape = field_kinds.BY_NAME[field.kind].code or "0x%02x" -- as the document has it
+      local is_key = expert == "command.key.invalid"
+      is_ignored = is_ignored or is_key
+      emit(self, "invalid", event, {
+        field = field.name,
+        value = raw,
+        code = shape:format(raw),
+        effect = is_key and ", so it was ignored",
+      })
+    end
+  end
+  return is_ignored
 end
 
 -- Account for the time between two messages of a source: has it room for others, is it a silence?
@@ -286,7 +256,7 @@ local function add_span(self, state, last, event, change)
   state.room = state.room + room
   if not late then return end
   state.room_silent = state.room_silent + room
-  emit(self, "silence", last, { length = output.seconds(late) }, event.frame)
+  emit(self, "silence", last, { length = output.seconds(late) })
 end
 
 local function add_message(self, state, event)
@@ -300,9 +270,8 @@ local function add_message(self, state, event)
     if state.every and not values.is_unreliable then add_span(self, state, last, event, change) end
   end
   self.hand_on(event)
-  if event.raws then add_motion(self, state, event) end
-  for _, invalid in ipairs(values.invalid or NOTHING) do emit(self, "invalid", event, invalid) end
-  if change ~= NOTHING then add_changes(self, state, event, change) end
+  if event.raws then add_motion(self, state, event, add_invalid(self, event)) end
+  if change ~= NOTHING then add_changes(self, event, change) end
 end
 
 -- Losses ------------------------------------------------------------------------------------------
@@ -361,18 +330,13 @@ local function finish_source(self, state, last, length)
   state.room_at_end = room_in(length, state.every)
   if length <= self.settings.late * state.every then return end
   state.room_silent = state.room_silent + state.room_at_end
-  self.hand_on(new_follower("silence", last, { length = output.seconds(length), is_last = true }))
+  emit(self, "silence", last, { length = output.seconds(length), is_last = true })
 end
 
 --- End: hand on what only the end shows.
 -- length_since  function(event) -> seconds from a message to the capture's end
 -- has_times     true if lengths mean something
 function Events:finish(length_since, has_times)
-  for _, event in ipairs(self.doubtful) do
-    local means_something = has_times or event.kind ~= "silence"
-    local is_sure = event.shown_in < self.by_source[event.source].shared_since
-    if is_sure and means_something then self.hand_on(event) end
-  end
   for _, state in ipairs(self.states) do
     local last = state.last
     if not (has_times or last and clock_of(last)) then state.room = 0 end

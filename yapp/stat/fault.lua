@@ -86,6 +86,7 @@ function M.new(options, context)
     card = nil, -- that is asked for
     old = {}, -- with those of `new` the events of ten seconds, at least
     new = {},
+    begun = 0, -- when `new` began
   }, Fault)
 end
 
@@ -145,7 +146,9 @@ function Fault:add_event(event)
   if card and (card.number == self.number or frame and event.frame >= frame) then
     self.card = self.card or card
   end
-  if new[1] and event.time - new[1].time > BEFORE_FAULT then self.old, self.new = new, {} end
+  if event.time - self.begun > BEFORE_FAULT then
+    self.old, self.new, self.begun = new, {}, event.time
+  end
   insert(self.new, event)
 end
 

@@ -27,7 +27,6 @@ local NEAR = 1 -- seconds
 -- about       key that the message type of a source must have; nil for any source with an ID
 -- needs_past  true if it can be judged only with a good message and a reliable history
 -- needs_values  the same with a message that was decoded
--- is_doubtful true if a `shared` behind it may explain it, see stat.events
 -- needs_time  true if it can be judged only if packets have time stamps
 -- can_mend    true if more packets may mend a rule that failed
 M.LIST = input.rows("name text", {
@@ -61,7 +60,6 @@ M.LIST = input.rows("name text", {
     "controller rebooted (its clock went back by {length} s)",
     change = "length",
     about = "time",
-    is_doubtful = true,
     needs_past = true,
     needs_values = true,
   },
@@ -70,7 +68,6 @@ M.LIST = input.rows("name text", {
     "controller clock did not advance",
     change = "stale",
     about = "time",
-    is_doubtful = true,
     needs_past = true,
     needs_values = true,
     needs_time = true,
@@ -81,7 +78,6 @@ M.LIST = input.rows("name text", {
     keys = "length",
     change = "length",
     about = "time",
-    is_doubtful = true,
     needs_past = true,
     needs_values = true,
     needs_time = true,
@@ -99,7 +95,6 @@ M.LIST = input.rows("name text", {
     "silent for {length} s",
     keys = "length",
     about = "every",
-    is_doubtful = true,
     needs_past = true,
     needs_time = true,
   },
@@ -182,7 +177,7 @@ M.NOTHING = {}
 -- frame   number of the packet; time = seconds since the first one
 -- source  of message.reader, one table for all its events; for events of a bus, or of the capture,
 --         with its bus and name alone, or with nothing
--- values  by the keys of its kind, and by those in its text; of a message see stat.events
+-- values  by the keys of its kind, and by those in its text; of a good message the message
 -- message  of a message: { seq, raws = its raw values, nil or false where the catalogue does not
 --         decode it }
 function M.new_event(kind, frame, time, source, values, message)
