@@ -8,11 +8,13 @@
 -- digits of an integer beyond 2^53; the bytes of times, strings and bytes.
 
 local binary = require "yapp.message.binary"
+local memo = require "yapp.base.memo"
 local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
 local format = string.format
+local NO_NUMBER = 0 / 0
 
 --- The reserved values of compressed floats, from the highest count down ("YAPP Float
 -- Compression").  The index is the value of <field>.special.
@@ -70,10 +72,20 @@ function M.text(field, raw)
   return format(field.shape or "%.0f", value) -- COMPAT 5.2: tostring has 14 digits
 end
 
---- Return the value of a field as a number: NaN where that is none, such as a reserved value.
-function M.number(field, raw)
-  return tonumber((M.value(field, raw))) or 0 / 0 -- of 64 bits a text, where a double is not exact
-end
+--- By field or generated value: function(raws) -> its value as a number: in its unit, a time in
+-- seconds, flags and codes as they are sent; NaN where that is none, such as a reserved value.
+M.reader = memo(function(field)
+  local index, number = field.index, field.number
+  if number then -- of a compressed float, the usual one
+    return function(raws) return raws[index] and number(raws[index]) or NO_NUMBER end
+  end
+  return function(raws)
+    local raw = raws
+    if index then raw = raws[index] end
+    -- Of 64 bits the value is a text, where a double is not exact.
+    return tonumber((M.value(field, raw))) or NO_NUMBER
+  end
+end)
 
 --- Return whether a field, or a generated value, has numbers that are no codes.
 function M.is_number(field)

@@ -171,7 +171,7 @@ end
 -- Commands ----------------------------------------------------------------------------------------
 
 local function add_speed(state, field, raws)
-  local speed = math.abs(field_kinds.number(field, raws[field.index]))
+  local speed = math.abs(field_kinds.reader[field](raws))
   if speed ~= speed then return end -- a reserved value
   state.speed, state.highest = speed, math.max(speed, state.highest)
 end

@@ -209,9 +209,9 @@ end
 
 -- Return the values of a field, or of one of its flags, as numbers.
 local function values_of(messages, field, flag)
-  local values = {}
+  local values, read = {}, field_kinds.reader[field]
   for i, event in ipairs(messages) do
-    local number = field_kinds.number(field, event.raws[field.index])
+    local number = read(event.raws)
     if flag then number = band(number, flag.mask) == 0 and 0 or 1 end
     values[i] = number == number and number or math.huge -- of a reserved value
   end

@@ -11,7 +11,6 @@ local output = require "yapp.stat.output"
 local M = {}
 
 local span = kinds.span
-local number_of = field_kinds.number
 local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
 
@@ -24,14 +23,6 @@ end
 --- Return a number without noise: 10, not 9.9999999999999982.
 function M.clean(value)
   return tonumber(("%.12g"):format(value)) or value -- infinity
-end
-
---- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent;
--- NaN for a reserved value, and where the message does not have the field.
-function M.number_in(field, raws)
-  local raw = raws
-  if field.index then raw = raws[field.index] end -- others are worked out
-  return number_of(field, raw)
 end
 
 -- Values ----------------------------------------------------------------------------------------
@@ -117,6 +108,7 @@ function Groups:new_values(message_type)
     local spread = self.compares and self.spreads[field]
     local values = {
       field = field,
+      read = field_kinds.reader[field],
       count = 0, -- of numbers, whose least, sum and largest follow
       min = INFINITE,
       sum = 0.0,
@@ -137,8 +129,9 @@ end
 -- longest  seconds for which a value stays valid
 function Groups.add_values(list, event, longest)
   local raws = event.raws
-  for _, values in ipairs(list) do
-    local value = M.number_in(values.field, raws)
+  for i = 1, #list do
+    local values = list[i]
+    local value = values.read(raws)
     if value == value then -- no NaN
       values.count, values.sum = values.count + 1, values.sum + value
       if value < values.min then values.min = value end

@@ -3,8 +3,8 @@
 -- Pure Lua, 5.2 to 5.5.
 
 local band = require("yapp.base.bits").band
+local field_kinds = require "yapp.message.field_kinds"
 local groups = require "yapp.stat.groups"
-local memo = require "yapp.base.memo"
 local span = require("yapp.stat.kinds").span
 
 local M = {}
@@ -40,15 +40,20 @@ local function new_series(rule, spreads)
   return series
 end
 
---- Make the state of a source: its series, a list, also by rule.
+--- Make the state of a source: its series, a list, also by rule; numbers = of the latest message by
+-- field, which the rules share; readers = of these fields.
 -- check  { options = see stat.options, its rules about values of the message type count; spreads =
 --        see stat.groups }
 function M.new(check, message_type)
-  local state = {}
+  local state = { numbers = {}, readers = {} }
+  local function read(field) state.readers[field] = field_kinds.reader[field] end
   for _, rule in ipairs(check.options.rules) do
     if rule.field and rule.message == message_type then
       local series = new_series(rule, check.spreads)
       state[#state + 1], state[rule] = series, series
+      read(rule.field)
+      if rule.other then read(rule.other) end
+      for _, test in ipairs(rule.tests) do read(test.field) end
     end
   end
   return state
@@ -160,10 +165,9 @@ end
 -- last     the message before, nil for none
 function M.add(state, event, longest, last)
   if not state[1] then return end
-  local change = event.values.change
+  local change, numbers = event.values.change, state.numbers
   local is_apart = last and (event.at < last.at or span(last.at, event.at) > longest)
-  -- Rules share fields: work their numbers out once.
-  local numbers = memo(function(field) return groups.number_in(field, event.raws) end)
+  for field, read in pairs(state.readers) do numbers[field] = read(event.raws) end
   for _, series in ipairs(state) do
     if is_apart or change and change.reboot then restart(series) end
     local answer, value = is_judged(series, numbers, event.at), NO_NUMBER
