@@ -61,7 +61,7 @@ function T.test_odd_names()
 end
 
 function T.test_what_is_wrong_is_said_part_by_part_and_the_rest_holds()
-  local s, problems = parse("0x210, 0x800=a, left/x=b, 0x210=moter:c, 0x211=, 1.5=r, 0x215=good, =left")
+  local s, problems = parse("0x210, 0x800=a, left/x=b, 0x210=moter:c, 0x211=, 1.5=r, 0x215=good, =left, 1=d;2=e")
   lu.assertEquals(name_of(s, nil, 0x215), "good")
   lu.assertEquals(#s.rows, 1)
   local shape = 'yapp.sources: a part that is not understood in "%s"; write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME'
@@ -72,7 +72,7 @@ function T.test_what_is_wrong_is_said_part_by_part_and_the_rest_holds()
     'yapp.sources: no message "moter" in "0x210=moter:c"; known messages: ' .. table.concat(NAMES, ", "),
     shape:format("0x211="),
     'yapp.sources: no ID "1.5" in "1.5=r"; IDs are 0 to 0x7FF',
-    shape:format("=left"),
+    shape:format("=left"), shape:format("1=d;2=e"),
   })
 end
 
