@@ -14,6 +14,7 @@ import itertools
 import random
 import struct
 
+import capture_file
 from crc32k import crc32k
 
 FRAMES = 5  # of a message, on CAN
@@ -86,12 +87,7 @@ def uart_packets(count):
 
 
 def write_pcap(path, linktype, packets):
-    time = BEGIN
-    with open(path, "wb") as file:
-        file.write(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, linktype))
-        for data in packets:
-            time += BETWEEN
-            file.write(struct.pack("<IIII", time // 1_000_000, time % 1_000_000, len(data), len(data)) + data)
+    path.write_bytes(capture_file.pcap(linktype, ((BEGIN + BETWEEN * number, data) for number, data in enumerate(packets, 1))))
 
 
 def write_log(path, count):
@@ -101,15 +97,6 @@ def write_log(path, count):
             for can_id, data in yapp_frames(payload):
                 time += BETWEEN
                 file.write(f"({time // 1_000_000}.{time % 1_000_000:06d}) can0 {can_id:08X}#{data.hex().upper()}\n")
-
-
-def pcapng_block(kind, body):
-    body += bytes(-len(body) % 4)
-    return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)
-
-
-def interface(name):
-    return pcapng_block(1, struct.pack("<HHIHH4s", SOCKETCAN, 0, 0, 2, 4, name) + bytes(4))
 
 
 def in_turns(packets):
@@ -122,12 +109,8 @@ def in_turns(packets):
 
 def write_pcapng(path, names, packets):
     """packets: (interface, bytes)."""
-    time = BEGIN
-    with open(path, "wb") as file:
-        file.write(pcapng_block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)) + b"".join(map(interface, names)))
-        for bus, data in packets:
-            time += BETWEEN
-            file.write(pcapng_block(6, struct.pack("<IIIII", bus, time >> 32, time & 0xFFFFFFFF, len(data), len(data)) + data))
+    path.write_bytes(capture_file.section(*(capture_file.interface(SOCKETCAN, name) for name in names)) + b"".join(
+        capture_file.packet(BEGIN + BETWEEN * number, data, bus) for number, (bus, data) in enumerate(packets, 1)))
 
 
 WRITERS = {
@@ -136,8 +119,8 @@ WRITERS = {
     "udp.pcap": lambda path, count: write_pcap(path, ETHERNET, datagrams(count)),
     "uart.pcap": lambda path, count: write_pcap(path, EXPORTED_PDU, uart_packets(count)),
     "one.pcap": lambda path, count: write_pcap(path, SOCKETCAN, list(can_packets(1, yapp_frames))[:1]),
-    "one_bus.pcapng": lambda path, count: write_pcapng(path, [b"can0"], ((0, one) for one in can_packets(count, yapp_frames))),
-    "two_buses.pcapng": lambda path, count: write_pcapng(path, [b"can0", b"can1"], in_turns(can_packets(count, yapp_frames))),
+    "one_bus.pcapng": lambda path, count: write_pcapng(path, ["can0"], ((0, one) for one in can_packets(count, yapp_frames))),
+    "two_buses.pcapng": lambda path, count: write_pcapng(path, ["can0", "can1"], in_turns(can_packets(count, yapp_frames))),
     "yapp.log": write_log,
 }
 

@@ -18,6 +18,7 @@ import shutil
 import struct
 import subprocess
 
+import capture_file
 from crc32k import crc32k
 
 FD_LENGTHS = [*range(9), 12, 16, 20, 24, 32, 48, 64]
@@ -413,6 +414,7 @@ LAYOUTS = ["plain", "one interface", "interfaces", "sll2", "merged", "merged int
 ONE_BUS = {"plain", "one interface"}
 SEVERAL_BUSES = {"interfaces", "sll2"}
 MERGED = {"merged", "merged interface"}
+LINKTYPES = {"sll": capture_file.SLL, "sll2": capture_file.SLL2}
 INTERFACES = {"interfaces": 2, "one interface": 1, "merged interface": 1}
 
 
@@ -449,73 +451,27 @@ def capture(seed, layout, wide=False, situations=1, frames=50):
 
 # Files -------------------------------------------------------------------------------------------------------------
 
-LINKTYPE_SOCKETCAN, LINKTYPE_SLL2, LINKTYPE_SLL = 227, 276, 113
-
-
-def _captured(frame, record, header):
-    return len(record) if frame.captured is None else header + 8 + frame.captured
-
-
-def _block(kind, body):
-    body += bytes(-len(body) % 4)
-    return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)
-
-
-def pcapng_head(linktypes):
-    """Section header and one interface for each link type."""
-    return _block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)) + b"".join(
-        _block(1, struct.pack("<HHI", linktype, 0, 0)) for linktype in linktypes)
-
-
-# Names of hosts, none: longer than what the plugin looks at when a file is opened, so other interfaces may follow.
-LONG_BLOCK = _block(4, struct.pack("<HHHH", 0, 0, 1, 65532) + b" " * 65532 + struct.pack("<HH", 0, 0))
-
-
-def pcapng_packet(number, interface, record, captured):
-    return _block(6, struct.pack("<IIIII", interface, 0, number * 1000, captured, len(record)) + record[:captured])
-
-
-def pcap_head(linktype):
-    return struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, linktype)
-
-
-def pcap_packet(number, record, captured):
-    return struct.pack("<IIII", number // 1000, number % 1000 * 1000, captured, len(record)) + record[:captured]
-
-
-def sll2_head(frame):
-    return struct.pack(">HHIHBB8x", 0x0D if frame.fd else 0x0C, 0, frame.bus + 3, 280, 0, 0)
-
-
-def sll_head(frame):
-    return struct.pack(">HHH8xH", 0, 280, 0, 0x0D if frame.fd else 0x0C)
-
-
 def write(path, frames, layout):
     """Writes frames as pcap or pcapng; the layout says how the file tells its buses, if it does."""
-    with open(path, "wb") as file:
-        if layout in INTERFACES:
-            file.write(pcapng_head([LINKTYPE_SOCKETCAN] * INTERFACES[layout]))
-            if layout == "merged interface":
-                file.write(LONG_BLOCK)
-            for number, frame in enumerate(frames, 1):
-                record = frame.record()
-                file.write(pcapng_packet(number, frame.bus if layout == "interfaces" else 0, record, _captured(frame, record, 0)))
-            return
-        linktype, head = {"sll2": (LINKTYPE_SLL2, sll2_head), "sll": (LINKTYPE_SLL, sll_head)}.get(
-            layout, (LINKTYPE_SOCKETCAN, None))
-        file.write(pcap_head(linktype))
-        for number, frame in enumerate(frames, 1):
-            before = head(frame) if head else b""
-            record = before + frame.record(little=head is not None)
-            file.write(pcap_packet(number, record, _captured(frame, record, len(before))))
+    packets = []
+    for number, frame in enumerate(frames, 1):
+        record = frame.record(little=layout in LINKTYPES)
+        record = capture_file.sll2(record, frame.bus + 3, frame.fd) if layout == "sll2" else \
+            capture_file.sll(record, frame.fd) if layout == "sll" else record
+        packets.append((number * 1000, record, None if frame.captured is None else
+                        len(record) - (64 if frame.fd else 8) + frame.captured))
+    if layout not in INTERFACES:
+        data = capture_file.pcap(LINKTYPES.get(layout, capture_file.SOCKETCAN), packets)
+    else:
+        data = capture_file.section(*[capture_file.interface(capture_file.SOCKETCAN)] * INTERFACES[layout])
+        data += capture_file.LONG_BLOCK * (layout == "merged interface")
+        data += b"".join(capture_file.packet(at, record, frame.bus * (layout == "interfaces"), captured)
+                         for frame, (at, record, captured) in zip(frames, packets))
+    pathlib.Path(path).write_bytes(data)
 
 
 def write_behind_ip(path, count, frames):
     """Writes frames as Linux cooked v2, behind so many packets of IP."""
     ip = struct.pack(">HHIHBB8x", 0x0800, 0, 2, 1, 0, 6) + bytes(20)
-    records = [ip] * count + [sll2_head(frame) + frame.record(little=True) for frame in frames]
-    with open(path, "wb") as file:
-        file.write(pcap_head(LINKTYPE_SLL2))
-        for number, record in enumerate(records):
-            file.write(pcap_packet(number, record, len(record)))
+    records = [ip] * count + [capture_file.sll2(frame.record(little=True), frame.bus + 3, frame.fd) for frame in frames]
+    path.write_bytes(capture_file.pcap(capture_file.SLL2, ((number * 1000, record) for number, record in enumerate(records))))

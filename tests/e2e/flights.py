@@ -17,8 +17,9 @@ import dataclasses
 import random
 import struct
 
+import capture_file
 import model
-from can_generator import END, LONG_BLOCK, MIDDLE, SINGLE, START, Frame, Sent, message_crc
+from can_generator import END, MIDDLE, SINGLE, START, Frame, Sent, message_crc
 
 SECOND = 1_000_000_000
 EVERY = {message.name: message.every for message in model.MESSAGES.values() if message.every}  # a gap above LATE of them is a silence
@@ -531,24 +532,17 @@ class Flight:
         return path
 
     def pcapng(self, form):
-        linktype, sll2 = (276, True) if form == "sll2" else (227, False)
-        blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
-        for name in [None] if sll2 else self.names:
-            options = option(2, name.encode()) if name else b""
-            if form == LINKS:
-                linktype = self.link_of(len(blocks) - 1)[0]
-            blocks.append(block(1, struct.pack("<HHI", linktype, 0, 0) + options + option(9, b"\x09") + option(0, b"")))
-            if form == LATE_PCAPNG and len(blocks) == 2:
-                blocks.append(LONG_BLOCK)
+        linktype, sll2 = (capture_file.SLL2, True) if form == "sll2" else (capture_file.SOCKETCAN, False)
+        blocks = [capture_file.section()]
+        for bus, name in enumerate([None] if sll2 else self.names):
+            linktype = self.link_of(bus)[0] if form == LINKS else linktype
+            blocks.append(capture_file.interface(linktype, name, capture_file.NANOSECONDS))
+            if form == LATE_PCAPNG and bus == 0:
+                blocks.append(capture_file.LONG_BLOCK)
         for frame in self.frames:
-            record = frame.record(little=sll2)
-            if form == LINKS:
-                record = self.link_of(frame.bus)[1](frame)
-            elif sll2:
-                record = struct.pack(">HHIHBB8x", 0x0C, 0, frame.bus + 1, 280, 0, 0) + record
-            head = struct.pack("<IIIII", 0 if sll2 else frame.bus, frame.at >> 32, frame.at & 0xFFFFFFFF, len(record),
-                               len(record))
-            blocks.append(block(6, head + pad(record)))
+            record = self.link_of(frame.bus)[1](frame) if form == LINKS else frame.record(little=sll2)
+            record = capture_file.sll2(record, frame.bus + 1) if sll2 else record
+            blocks.append(capture_file.packet(frame.at, record, 0 if sll2 else frame.bus))
         return b"".join(blocks)
 
 
@@ -562,20 +556,7 @@ def acf_can(*frames):
     return bytes(12) + b"\x22\xf0" + struct.pack(">BBBB8x", 0x82, 0x80 | len(messages) >> 8, len(messages) & 0xFF, 0) + messages
 
 
-LINK_TYPES = [(227, Frame.record),
-              (113, lambda frame: struct.pack(">HHH8xH", 0, 280, 0, 0x0C) + frame.record(little=True))]  # Linux cooked
-
-
-def pad(data):
-    return data + bytes(-len(data) % 4)
-
-
-def block(kind, body):
-    return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)
-
-
-def option(code, value):
-    return struct.pack("<HH", code, len(value)) + pad(value)
+LINK_TYPES = [(capture_file.SOCKETCAN, Frame.record), (capture_file.SLL, lambda frame: capture_file.sll(frame.record(little=True)))]
 
 
 def make(seed, is_clean=False):

@@ -47,28 +47,15 @@ def few(rows, some, several=False):
     return [row if row in some else pytest.param(*(row if several else [row]), marks=deep) for row in rows]
 
 
-def places(items):
-    """Where the values of a test's parameters stand in their lists: { item: [(place, length of the list)] }."""
-    values = {}
-    for item in items:
-        for name, value in item.callspec.params.items():
-            values.setdefault(name, {}).setdefault(repr(value), len(values[name]))
-    return {item: [(values[name][repr(value)], len(values[name])) for name, value in item.callspec.params.items()]
-            for item in items}
-
-
-def value_count(items):
-    return len({(name, repr(value)) for item in items for name, value in item.callspec.params.items()})
-
-
 def each_value(items):
-    """Of a test in all combinations of its parameters: the first values together, the second ones together, and so on,
-    beginning anew where a list is at its end."""
-    where = places(items)
-    steps = range(max(length for one in where.values() for _, length in one))
-    once = [item for item in items if any(all(step % length == place for place, length in where[item]) for step in steps)]
-    assert value_count(once) == value_count(items), \
-        f"{items[0].nodeid}: parameters that depend on each other do not combine"
+    """Of a test in all combinations of its parameters some that have each value: first those all of whose values are new."""
+    seen, once = set(), []
+    for has_new in (all, any):
+        for item in items:
+            values = {(name, repr(value)) for name, value in item.callspec.params.items()}
+            if has_new(value not in seen for value in values):
+                once.append(item)
+                seen |= values
     return once
 
 

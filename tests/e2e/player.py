@@ -12,11 +12,12 @@ import sys
 import time
 
 sys.path.insert(0, __file__.rpartition("/")[0])
+import capture_file  # noqa: E402
 from can_generator import Sent  # noqa: E402
 
 LEFT, RIGHT = 0x210, 0x211
 OVERCURRENT = 0x10000
-HEAD = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 227)  # SocketCAN
+HEAD = capture_file.pcap(capture_file.SOCKETCAN, [])
 
 
 def count(value, limit):
@@ -31,7 +32,7 @@ def motor(ident, seq, rpm, faults, clock):
 
 def packet(at, frame):
     record = struct.pack(">IB3x", 0x80000000 | frame.can_id, len(frame.data)) + frame.data
-    return struct.pack("<IIII", int(at), int(at % 1 * 1e6), len(record), len(record)) + record
+    return capture_file.pcap_record(int(at * 1e6), record)
 
 
 def play(out, length):

@@ -8,6 +8,7 @@ has to show is its list of events.
 import random
 import struct
 
+import capture_file
 import model
 from crc32k import crc32k
 
@@ -574,11 +575,6 @@ TRANSPORTS = {
 
 # The files -------------------------------------------------------------------------------------------------------
 
-def block(kind, body):
-    body += b"\0" * (-len(body) % 4)
-    return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)
-
-
 class Capture:
     """Streams of one transport in a pcapng file."""
 
@@ -599,15 +595,13 @@ class Capture:
         return f"if{origin.interface}" + has_both * f"#{origin.bus_direction}"
 
     def head(self):
-        return block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)) + b"".join(
-            block(1, struct.pack("<HHI", linktype, 0, 0)) for linktype in self.linktypes)
+        return capture_file.section(*map(capture_file.interface, self.linktypes))
 
     @staticmethod
     def packet_block(packet, data):
         captured = len(data) - len(packet.data) + packet.captured
-        head = struct.pack("<IIIII", packet.origin.interface, packet.time >> 32, packet.time & 0xFFFFFFFF, captured, len(data))
         flags = struct.pack("<HHIHH", 2, 4, 2 - packet.origin.direction, 0, 0) if packet.origin.has_flags else b""
-        return block(6, head + data[:captured] + b"\0" * (-captured % 4) + flags)
+        return capture_file.packet(packet.time, data, packet.origin.interface, captured, flags)
 
     def bytes(self):
         return self.head() + b"".join(

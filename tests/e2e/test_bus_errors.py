@@ -8,9 +8,10 @@ import struct
 import pytest
 
 import can_generator
+import capture_file
 import levels
 import tshark
-from test_buses import BEGIN, Placed, interfaces, motor, packet, pcap
+from test_buses import BEGIN, Placed, interfaces, motor, packet
 
 pytestmark = levels.by_version
 CASES = tshark.CAPTURES / "cases"
@@ -104,14 +105,6 @@ def record(one, order=">"):
     return struct.pack(order + "IB3x", one.can_id, len(one.data)) + one.data.ljust(8, b"\0")
 
 
-def sll2(one):
-    return struct.pack(">HHIHBB8x", 0x0C, 0, one.bus + 3, 280, 0, 0) + record(one, "<")
-
-
-def sll(one):
-    return struct.pack(">HHH8xH", 4 * one.bus, 280, 0, 0x0C) + record(one, "<")
-
-
 def log(frames):
     """An id has three digits if it is a standard one, and no flag of an extended one."""
     return "".join(f"({one.time // 10**6}.{one.time % 10**6:06d}) can{one.bus} "
@@ -121,9 +114,9 @@ def log(frames):
 # Form: how it is written, the names of its buses.
 FORMS = {
     "pcapng": (lambda frames: interfaces(["can0", "can1"]) + b"".join(packet(one.time, one.bus, record(one)) for one in frames), ["can0", "can1"]),
-    "pcap": (lambda frames: pcap(227, [(one.time, record(one)) for one in frames if one.bus == 0]), [None]),
-    "sll.pcap": (lambda frames: pcap(113, [(one.time, sll(one)) for one in frames if one.bus == 0]), [None]),
-    "sll2.pcap": (lambda frames: pcap(276, [(one.time, sll2(one)) for one in frames]), ["if0#3", "if0#4"]),
+    "pcap": (lambda frames: capture_file.pcap(capture_file.SOCKETCAN, [(one.time, record(one)) for one in frames if one.bus == 0]), [None]),
+    "sll.pcap": (lambda frames: capture_file.pcap(capture_file.SLL, [(one.time, capture_file.sll(record(one, "<"))) for one in frames if one.bus == 0]), [None]),
+    "sll2.pcap": (lambda frames: capture_file.pcap(capture_file.SLL2, [(one.time, capture_file.sll2(record(one, "<"), one.bus + 3)) for one in frames]), ["if0#3", "if0#4"]),
     "log": (log, ["can0", "can1"]),
 }
 

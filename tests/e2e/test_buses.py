@@ -15,6 +15,7 @@ import subprocess
 import pytest
 
 import can_generator
+import capture_file
 import flights
 import levels
 import tshark
@@ -73,26 +74,17 @@ def record(one, little=False):
     return can_generator.Frame(one.can_id, one.data).record(little)
 
 
-def interfaces(names, options=b"", linktype=227):
+def interfaces(names, linktype=capture_file.SOCKETCAN):
     """The head of a pcapng file, one interface for each name."""
-    parts = [can_generator.pcapng_head([])]
-    for name in names:
-        option = struct.pack("<HH", 2, len(name.encode())) + name.encode() + bytes(-len(name.encode()) % 4)
-        parts.append(can_generator._block(1, struct.pack("<HHI", linktype, 0, 0) + option + options))
-    return b"".join(parts)
+    return capture_file.section(*(capture_file.interface(linktype, name) for name in names))
 
 
 def packet(time, interface, data):
-    return can_generator._block(6, struct.pack("<IIIII", interface, time >> 32, time & 0xFFFFFFFF, len(data), len(data)) + data)
+    return capture_file.packet(time, data, interface)
 
 
 def sll2(one):
-    return struct.pack(">HHIHBB8x", 0x0C, 0, one.bus + 3, 280, 0, 0) + record(one, little=True)
-
-
-def pcap(linktype, packets):
-    return can_generator.pcap_head(linktype) + b"".join(
-        struct.pack("<IIII", time // 10**6, time % 10**6, len(data), len(data)) + data for time, data in packets)
+    return capture_file.sll2(record(one, little=True), one.bus + 3)
 
 
 def log(frames):
@@ -102,7 +94,7 @@ def log(frames):
 
 FORMS = {
     "pcapng": lambda frames: interfaces(["can0", "can1"]) + b"".join(packet(one.time, one.bus, record(one)) for one in frames),
-    "sll2.pcap": lambda frames: pcap(276, [(one.time, sll2(one)) for one in frames]),
+    "sll2.pcap": lambda frames: capture_file.pcap(capture_file.SLL2, [(one.time, sll2(one)) for one in frames]),
     "sll2.pcapng": lambda frames: interfaces(["any"], linktype=276) +
                    b"".join(packet(one.time, 0, sll2(one)) for one in frames),
     "log": log,
@@ -304,24 +296,8 @@ def test_the_bus_is_the_interface(case, passes):
     assert tshark.run("-q", "-r", path, *passes, "-z", f"yapp,check{rules}").returncode == 0
 
 
-def block(kind, body, order):
-    body += bytes(-len(body) % 4)
-    length = struct.pack(order + "I", len(body) + 12)
-    return struct.pack(order + "I", kind) + length + body + length
-
-
 def section(names, order):
-    head = block(0x0A0D0D0A, struct.pack(order + "IHHq", 0x1A2B3C4D, 1, 0, -1), order)
-    return head + b"".join(block(1, struct.pack(order + "HHI", 227, 0, 0) + struct.pack(order + "HH", 2, len(name)) +
-                                 name.encode() + bytes(-len(name) % 4), order) for name in names)
-
-
-def one_packet(kind, bus, order, data):
-    """A block that holds a packet: enhanced or simple."""
-    stamp = struct.pack(order + "II", BEGIN >> 32, BEGIN & 0xFFFFFFFF)
-    sizes = struct.pack(order + "II", len(data), len(data))
-    return {6: lambda: block(6, struct.pack(order + "I", bus) + stamp + sizes + data, order),
-            3: lambda: block(3, struct.pack(order + "I", len(data)) + data, order)}[kind]()
+    return capture_file.section(*(capture_file.interface(capture_file.SOCKETCAN, name, order=order) for name in names), order=order)
 
 
 def test_a_first_packet_without_a_time_is_said(folder):
@@ -329,7 +305,7 @@ def test_a_first_packet_without_a_time_is_said(folder):
     path, first = folder / "custom.pcapng", tshark.ROOT / "docs/first.pcapng"
     file = first.read_bytes()
     head = struct.unpack_from("<I", file, 4)[0]
-    path.write_bytes(file[:head] + block(0xBAD, b"\0\0\1\0custom", "<") + file[head:])
+    path.write_bytes(file[:head] + capture_file.block(0xBAD, b"\0\0\1\0custom") + file[head:])
     done = tshark.run("-q", "-r", path, "-z", "yapp,check", check=False)
     assert done.returncode in (20, 21) and "packets of this capture have no time stamps" in done.stdout + done.stderr
 
@@ -349,10 +325,11 @@ def test_every_block_that_has_a_frame_number(folder):
         for _ in range(60):
             if rng.random() < 0.5:
                 kind, body = rng.choice(NUMBERED + UNNUMBERED)
-                parts.append(block(kind, body, order))
+                parts.append(capture_file.block(kind, body, order))
                 expected += [""] if (kind, body) in NUMBERED else []
             kind, bus = rng.choice((6, 6, 3)), rng.randrange(3)
-            parts.append(one_packet(kind, bus, order, data))
+            parts.append(capture_file.packet(BEGIN, data, bus, order=order) if kind == 6 else
+                         capture_file.block(3, struct.pack(order + "I", len(data)) + data, order))
             expected.append(names[0 if kind == 3 else bus])
     path = folder / "blocks.pcapng"
     path.write_bytes(b"".join(parts))

@@ -13,7 +13,6 @@ import published
 import tshark
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captures"))
-import expected  # noqa: E402
 import make  # noqa: E402
 
 pytestmark = [levels.by_route, levels.together("captures")]
@@ -128,32 +127,6 @@ def test_what_is_known_on_a_later_look(name, capture, frames, severity, text):
     found, listed = found_and_listed(name, capture, "-2")
     assert list(found) == frames and re.search(rf"(?m)^ +1 +\w+ +YAPP\w*  +{re.escape(text)}$", listed[severity])
 
-
-# Claims ----------------------------------------------------------------------------------------------------------
-
-# Captures of what is not surely YAPP: the frames that are taken by default.
-CLAIMED = {
-    "start_3_bytes": [2, 3, 4, 5],  # the Middles and the End of a known ID
-    "start_12_bytes": [2, 3, 4, 5],
-    "start_size_0": [2, 3],
-    "start_size_65535": [1, 2, 3, 4, 5],
-    "reserved_nonzero": [2, 3, 4, 5],
-    "wrong_size": [3, 4, 5, 6, 7],  # a Start of a known ID is one whatever its size
-    "unknown_id": [2, 3, 4, 5],  # a plausible Start and what follows
-    "fd_multi_frame": [1, 2, 3, 4, 5, 6],
-    "ctrl_4_to_15": [],
-    "ctl_nonzero": [],
-    "fd_padding_nonzero": [],
-}
-
-
-@pytest.mark.parametrize("name", CLAIMED)
-def test_by_default_only_what_is_surely_yapp_is_taken(name):
-    def is_right(frames):
-        return [frame["frame"] for frame in frames] == CLAIMED[name]
-
-    for passes in ("one pass", "-2"):
-        assert is_right(expected.among_others(name, passes, [], is_right))
 
 
 # Flags -----------------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import subprocess
 import pytest
 
 import can_generator
+import capture_file
 import levels
 import tshark
 from can_generator import Frame
@@ -176,8 +177,7 @@ def internet_packets(rng):
 def test_ethernet(folder):
     path = folder / "internet.pcap"
     packets = internet_packets(random.Random(f"{SEED} internet"))
-    path.write_bytes(can_generator.pcap_head(1) + b"".join(
-        can_generator.pcap_packet(1_700_000_000_000 + number, packet, len(packet)) for number, packet in enumerate(packets, 1)))
+    path.write_bytes(capture_file.pcap(1, [(1_700_000_000_000_000 + number * 1000, packet) for number, packet in enumerate(packets, 1)]))
     for passes in levels.size([["-2"]], [["-2"], []]):
         assert differing(path, *passes) == set()
 

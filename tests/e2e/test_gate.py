@@ -5,16 +5,17 @@ import os
 import re
 import shlex
 import shutil
+import struct
 import subprocess
 
 import pytest
 
+import capture_file
 import levels
 import make
 import model
 import tshark
 from can_generator import Frame, Sent
-from flights import block, option, pad, struct
 
 RECIPE = next(line.strip() for line in (tshark.ROOT / "docs/rules.md").read_text().splitlines()
               if line.startswith("    tshark -q -r run.pcapng"))
@@ -55,16 +56,9 @@ def cut_in(place):
 
 
 def pcapng(placed, buses=("can0",)):
-    blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
-    for name in buses:
-        options = option(2, name.encode()) + option(9, b"\x09") + option(0, b"")
-        blocks.append(block(1, struct.pack("<HHI", 227, 0, 0) + options))
-    for at, frame in placed:
-        record = frame.record()
-        kept = record if frame.captured is None else record[:8 + frame.captured]
-        head = struct.pack("<IIIII", frame.bus, at >> 32, at & 0xFFFFFFFF, len(kept), len(record))
-        blocks.append(block(6, head + pad(kept)))
-    return b"".join(blocks)
+    head = capture_file.section(*(capture_file.interface(capture_file.SOCKETCAN, name, capture_file.NANOSECONDS) for name in buses))
+    return head + b"".join(capture_file.packet(at, frame.record(), frame.bus, None if frame.captured is None else 8 + frame.captured)
+                           for at, frame in placed)
 
 
 CLEAN = flight()

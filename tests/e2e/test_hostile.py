@@ -6,6 +6,7 @@ import struct
 
 import pytest
 
+import capture_file
 import levels
 import tshark
 
@@ -56,8 +57,7 @@ def test_lengths_above_the_record(folder, flags, arguments):
         records += [socketcan(0x80000000 | can_id, length, flags, b"\xA5" * size) for can_id, size in HEADS]
         records.append(socketcan(0x80000000, 7, 0, bytes.fromhex("015A014F80F380")))
     path = folder / "lengths.pcap"
-    path.write_bytes(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 227) + b"".join(
-        struct.pack("<IIII", at, 0, len(one), len(one)) + one for at, one in enumerate(records)))
+    path.write_bytes(capture_file.pcap(capture_file.SOCKETCAN, [(at * 10**6, one) for at, one in enumerate(records)]))
     each = len(HEADS) + 1
     assert set(range(each, len(records) + 1, each)) <= set(decoded(path, *arguments))
 

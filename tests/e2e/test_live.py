@@ -6,7 +6,6 @@ import fcntl
 import fnmatch
 import glob
 import importlib
-import io
 import os
 import pathlib
 import pty
@@ -214,24 +213,6 @@ def test_which_ports_there_are(extcap, monkeypatch):
     assert extcap.serial_ports() == ports
 
 
-def test_an_empty_slot(extcap, monkeypatch):
-    """Of ttyS alone: it is there without hardware."""
-    monkeypatch.setattr(extcap, "open", lambda path, **more: io.StringIO("0\n" if path.endswith(("S0/type", "USB0/type")) else "4\n"),
-                        raising=False)
-    found = ["/dev/ttyS0", "/dev/ttyS1", "/dev/ttyUSB0"]
-    assert [extcap.is_empty_slot(path) for path in found] == [True, False, False]
-
-
-@pytest.mark.parametrize("text, is_locked", [("own", True), ("1999999999\n", False), ("nobody", False), (None, False)])
-def test_a_port_that_is_locked_by_a_file(extcap, monkeypatch, tmp_path, text, is_locked):
-    """By the number of a program that runs; such a file of one that was killed says nothing."""
-    if text is not None:
-        (tmp_path / "LCK..ttyUSB0").write_text(text.replace("own", f"{os.getpid():10}\n"))
-    moved = {"/var/lock/LCK..ttyUSB0": tmp_path / "LCK..ttyUSB0"}
-    monkeypatch.setattr(extcap, "open", lambda path, **more: open(moved[path], **more), raising=False)
-    assert extcap.is_locked("/dev/ttyUSB0") == is_locked
-
-
 def test_where_a_packet_ends(extcap, monkeypatch):
     """At a pause of more than 2 ms, and after 20 ms: later bytes would have the time of the first ones."""
     clock, waits = [0.0], []
@@ -432,13 +413,6 @@ def test_port_of_somebody_else(folder, port, group, mode, advice):
     assert stat.S_IMODE(os.stat(port.name).st_mode) == mode
 
 
-def test_a_fifo_that_cannot_be_opened(folder, port):
-    done = subprocess.run([PYTHON, EXTCAP, "--capture", "--extcap-interface", "yapp-serial", "--port", port.name, "--fifo",
-                           folder / "nowhere/fifo"], capture_output=True, text=True, check=False, timeout=60)
-    assert done.returncode == 1 and done.stderr.count("\n") == 1
-    assert f"{folder}/nowhere/fifo cannot be written: No such file" in done.stderr and "Start the capture from" in done.stderr
-
-
 def queued(port):
     """Bytes that the port has and nobody has read."""
     return struct.unpack("i", fcntl.ioctl(port.near, termios.FIONREAD, bytes(4)))[0]
@@ -592,25 +566,6 @@ def test_tshark_and_a_port_that_goes(home, port):
     port.unplug()
     out, errors = ends(process)
     assert out == "" and f"{port.name} is gone" in errors
-
-
-def test_nothing_runs_on_after_tshark(home, port):
-    process = run_tshark(home, "-i", "yapp-serial", "-o", f"extcap.yapp_serial.port:{port.name}", "-w", "/dev/null")
-    port.wait_until_open()
-    started = [number for number in os.listdir("/proc") if number.isdigit() and port.name in command_of(number)]
-    assert started
-    process.kill()
-    process.wait()
-    process.stdout.close()
-    process.stderr.close()
-    wait_for(lambda: not any(port.name in command_of(number) for number in started))
-
-
-def command_of(number):
-    try:
-        return pathlib.Path(f"/proc/{number}/cmdline").read_text().split("\0")
-    except OSError:
-        return []
 
 
 @pytest.mark.parametrize("command", re.findall(r"^    tshark -i yapp-serial (.*)", DOCUMENT, re.MULTILINE))

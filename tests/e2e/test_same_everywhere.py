@@ -8,6 +8,7 @@ import shutil
 import pytest
 
 import can_generator
+import capture_file
 import flights
 import levels
 import tshark
@@ -89,12 +90,9 @@ def stray_end(buses):
 
 
 def pcapng_file(path, linktypes, frames):
-    with open(path, "wb") as file:
-        file.write(can_generator.pcapng_head(linktypes))
-        for number, frame in enumerate(frames):
-            cooked = linktypes[frame.bus] != can_generator.LINKTYPE_SOCKETCAN
-            record = (can_generator.sll_head(frame) if cooked else b"") + frame.record(little=cooked)
-            file.write(can_generator.pcapng_packet(number, frame.bus, record, len(record)))
+    path.write_bytes(capture_file.section(*map(capture_file.interface, linktypes)) + b"".join(
+        capture_file.packet(number, frame.record() if linktypes[frame.bus] == capture_file.SOCKETCAN else
+                            capture_file.sll(frame.record(little=True), frame.fd), frame.bus) for number, frame in enumerate(frames)))
 
 
 @levels.each_once
@@ -107,8 +105,8 @@ def test_buses_never_mix(kind, passes, folder):
     if before:
         can_generator.write_behind_ip(path, before, frames)
     else:
-        cooked = can_generator.LINKTYPE_SLL
-        pcapng_file(path, [cooked if kind == "SLL" else can_generator.LINKTYPE_SOCKETCAN, cooked], frames)
+        cooked = capture_file.SLL
+        pcapng_file(path, [cooked if kind == "SLL" else capture_file.SOCKETCAN, cooked], frames)
     # With some fields named only, later versions have no more: those that say the bus are named too.
     rows = shown(path, "yapp.fragment.orphan", "yapp.crc.status", passes=passes, named=["sll.ifindex", "frame.interface_id"])
     assert len(rows) == before + 5 or passes[-2:] == ("-R", "frame")
@@ -216,8 +214,7 @@ def test_several_can_frames_in_a_packet(passes, folder):
     motor, command = Sent(0x210, 0, 0, MOTOR).frames(), Sent(0, 0, 0, COMMAND).frame(0, COMMAND)
     packets = [[*motor, command], motor[:3], [*motor[3:], command, command], [command], motor]
     path = folder / "acf.pcap"
-    path.write_bytes(can_generator.pcap_head(1) + b"".join(
-        can_generator.pcap_packet(number, packet, len(packet)) for number, packet in enumerate(flights.acf_can(*one) for one in packets)))
+    path.write_bytes(capture_file.pcap(1, [(number, flights.acf_can(*one)) for number, one in enumerate(packets)]))
     rows = shown(path, "yapp.id", "yapp.crc.status", "yapp.fragment", "yapp.reassembled.in",
                  "yapp.fragment.orphan", "yapp.size.mismatch", passes=passes)
     motor_id, command_id = "0x00000210", "0x00000000"
@@ -236,11 +233,8 @@ def test_several_can_frames_in_a_packet(passes, folder):
 def test_ids_in_the_byte_order_of_the_machine(arguments, passes, folder):
     """Old captures have them so; a preference of SocketCAN says it."""
     frames = [*Sent(0x210, 0, 0, MOTOR).frames(), *Sent(0x123, 0, 0, MOTOR).frames()]
-    with open(folder / "swapped.pcap", "wb") as file:
-        file.write(can_generator.pcap_head(can_generator.LINKTYPE_SOCKETCAN))
-        for number, frame in enumerate(frames):
-            record = frame.record(little=True)
-            file.write(can_generator.pcap_packet(number, record, len(record)))
+    records = [(number, frame.record(little=True)) for number, frame in enumerate(frames)]
+    (folder / "swapped.pcap").write_bytes(capture_file.pcap(capture_file.SOCKETCAN, records))
     rows = shown(folder / "swapped.pcap", "yapp.id", "yapp.crc.status", passes=(*passes, *arguments, "-o", "can.byte_swap:TRUE"))
     assert rows == [["0x00000210", ""]] * 4 + [["0x00000210", "1"]] + [["0x00000123", ""]] * 4 + [["0x00000123", "1"]]
 

@@ -369,7 +369,7 @@ def test_check(results, seed):
 
 
 PAGE, RULES = ((tshark.ROOT / f"docs/{name}.md").read_text("utf-8") for name in ("statistics", "rules"))
-KINDS, MEASURES = (published.inventory()[name] for name in ("kinds", "rules"))
+KINDS = published.inventory()["kinds"]
 
 
 def test_the_kinds_of_event_in_the_document():
@@ -382,23 +382,6 @@ def test_the_kinds_of_event_in_the_document():
     alone = re.search(r"it judges these rules: (.*?), each 0", RULES, re.S)[1]
     assert rules <= {row["name"] for row in KINDS if not row["counts_as"]}
     assert re.findall(r"\w+", alone) == model.RULES
-
-
-def test_the_rules_of_the_document():
-    """motor.gap=S for MESSAGE.gap=S; the first words of its row are the plugin's own.  docs/filters.md has all."""
-    rows = dict(re.findall(r"^\| `(motor\.[^`=]*)=[^`]*` \| (.*?) \|$", RULES.partition("| rule |")[2], re.M))
-    shapes = {row["text"].partition("=")[0].replace("MESSAGE", "motor").replace("FIELD", r"\w+_\w+").replace("(OTHER)", r"\(\w+\)"): row["help"] for row in MEASURES}
-    for shape, about in shapes.items():
-        texts = [re.sub(r"\[(\w+)\]\(.*?\)", r"\1", text) for name, text in rows.items() if re.fullmatch(shape, name)]  # a measure has no "_"
-        assert not texts or any(text.startswith(about) for text in texts), shape
-
-
-def test_the_lists_of_rules_in_the_document():
-    """The words of rules that a field may have, too, and the rules about time."""
-    of_message = {row["name"] for row in MEASURES if row["text"].startswith(f"MESSAGE.{row['name']}=")}
-    about_time = {row["name"] for row in [*KINDS, *MEASURES] if row["needs_time"]}
-    listed = [re.search(shape, RULES, re.S)[1] for shape in (r"A field of your own may be called ([^.]*)\.", r"A rule is about time \((.*?)\)")]
-    assert set(re.findall(r"`(\w+)`", listed[0])) <= of_message and set(re.findall(r"`(\w+)`", listed[1])) <= about_time
 
 
 @pytest.mark.parametrize("what", [name for name in model.STATISTICS if name != "watch"])  # it has lines of two kinds

@@ -7,20 +7,10 @@ import pytest
 import can_generator
 import tshark
 
-SOCKETCAN = 227
-
-
 def write(path, messages):
     """A capture of messages of 32 bytes: [(ID, Seq No)]."""
-    packets = [struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, SOCKETCAN)]
-    for number, (ident, seq) in enumerate(messages):
-        payload = struct.pack("<I", number) * 8
-        start = struct.pack("<IHH", can_generator.message_crc(ident, 0, seq, payload), len(payload), 0)
-        chunks = [start, *(payload[at:at + 8] for at in range(0, 32, 8))]
-        for place, (ctrl, data) in enumerate(zip((1, 2, 2, 2, 3), chunks)):
-            record = struct.pack(">IB3x", 0x80000000 | ident << 18 | ctrl << 14 | seq, 8) + data
-            packets.append(struct.pack("<IIII", number // 100, number % 100 * 10000 + place, len(record), len(record)) + record)
-    path.write_bytes(b"".join(packets))
+    can_generator.write(path, [frame for number, (ident, seq) in enumerate(messages)
+                               for frame in can_generator.Sent(ident, 0, seq, struct.pack("<I", number) * 8).frames()], "plain")
     return path
 
 
