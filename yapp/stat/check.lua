@@ -32,11 +32,7 @@ local FAILED, UNJUDGED, OK = unpack(input.rows("order json text title code case"
 M.COLUMNS = output.columns({
   { "ok", "boolean", "whether the rule holds; null if it could not be judged", title = "check" },
   { "rule", "string", "the rule" },
-  "bus",
-  "id",
-  "source",
-  "message",
-  "frame",
+  "bus id source message frame",
   { "seen", "number", "what was seen" },
   { "limit", "text", "a number, or a text such as `9..11`" },
   { "worst", "number", "the value that is nearest to a limit, or farthest outside" },

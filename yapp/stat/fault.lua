@@ -51,18 +51,11 @@ local SECTIONS = input.rows("name title keys columns", {
 local ROWS = {
   { "incident", "integer", "the number of the fault, from 1" },
   { "incidents", "integer", "how many faults there are" },
-  "time",
-  "frame",
-  "bus",
-  "id",
-  "source",
-  "message",
-  "active",
+  "time frame bus id source message active",
 }
 for _, section in ipairs(SECTIONS) do
   local help = ("%s: `%s`"):format(section.title, section.keys or "as in `events`")
   insert(ROWS, { section.name, "list", help })
-  section.keys = section.keys and output.words(section.keys)
   section.columns = output.columns({}, section.columns)
 end
 --- The columns, see output.columns.

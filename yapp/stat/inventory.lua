@@ -8,17 +8,7 @@ local rules = require "yapp.stat.rules"
 
 local M = {}
 
-local object, words = output.object, output.words
-
--- low and high are the bounds of a compressed float.  kind, bits and values are for integers only:
--- the type, and the meaning of its numbers.
-local COLUMN_KEYS = words("name unit type filter title low high kind bits values")
--- Of a value that is worked out from two fields.
-local FORMULA_KEYS = words("name of operator less unit title")
-local KIND_KEYS = words("name text keys counts_as scope hides needs_time is_optional " ..
-  "is_counted_only")
-local INVENTORY_KEYS = words("version plugin messages statistics kinds rules fields experts " ..
-  "preferences")
+local object = output.object
 
 -- Return a list of an object for each row.
 -- values_of  function(row) -> its values by key
@@ -29,11 +19,10 @@ local function list(rows, keys, values_of)
 end
 
 -- The same of rows whose values, which become texts, stand in the order of the keys.
-local function list_in_order(rows, names)
-  local keys = words(names)
+local function list_in_order(rows, keys)
   return list(rows, keys, function(row)
     local values = {}
-    for i, key in ipairs(keys) do values[key] = tostring(row[i]) end
+    for i, key in ipairs(output.words(keys)) do values[key] = tostring(row[i]) end
     return values
   end)
 end
@@ -56,6 +45,10 @@ local function meanings(values)
   return object(keys, texts)
 end
 
+-- low and high are the bounds of a compressed float.  kind, bits and values are for integers only:
+-- the type, and the meaning of its numbers.
+local COLUMN_KEYS = "name unit type filter title low high kind bits values"
+
 local function column_values(column)
   local field = column.field or {} -- common columns have none
   local about, is_integer = column.flag or field, column.type == "integer"
@@ -74,12 +67,15 @@ local function column_values(column)
   }
 end
 
+-- Of a value that is worked out from two fields.
+local FORMULA_KEYS = "name of operator less unit title"
+
 local function formula_values(item)
   return setmetatable({ of = item.a.name, less = item.b.name }, { __index = item })
 end
 
 local function describe_message(message_type, columns)
-  return object(words("title every columns formulas"), {
+  return object("title every columns formulas", {
     title = message_type.title,
     every = message_type.every,
     columns = list(columns, COLUMN_KEYS, column_values),
@@ -89,7 +85,7 @@ end
 
 local function describe_statistic(row)
   local values = setmetatable({ columns = output.describe(row.columns) }, { __index = row })
-  return object(words("title options help ask columns"), values)
+  return object("title options help ask columns", values)
 end
 
 --- Describe all that is published.
@@ -100,15 +96,17 @@ end
 --            rules, fields, experts, preferences = lists }; an absent value is null
 function M.describe(settings, columns_of, statistics)
   local published = settings.published
-  return object(INVENTORY_KEYS, {
+  local keys = "version plugin messages statistics kinds rules fields experts preferences"
+  return object(keys, {
     version = 1,
     plugin = settings.version,
     messages = by_name(settings.catalogue.messages, function(message_type)
       return describe_message(message_type, columns_of(message_type))
     end),
     statistics = by_name(statistics, describe_statistic),
-    kinds = output.objects(KIND_KEYS, kinds.LIST),
-    rules = output.objects(words("name text help needs_time"), rules.LIST),
+    kinds = output.objects("name text keys counts_as scope hides needs_time is_optional " ..
+      "is_counted_only", kinds.LIST),
+    rules = output.objects("name text help needs_time", rules.LIST),
     fields = list_in_order(published.fields, "name type title help"),
     experts = list_in_order(published.experts, "name title group severity"),
     preferences = list_in_order(published.preferences, "name type title default help"),

@@ -26,7 +26,6 @@ local NEAR = 1 -- seconds
 --             such events; nil: one for each source that can have them
 -- about       key that the message type of a source must have; nil for any source with an ID
 -- needs_past  true if it can be judged only with a good message and a reliable history
--- needs_values  the same with a message that was decoded
 -- needs_time  true if it can be judged only if packets have time stamps
 -- can_mend    true if more packets may mend a rule that failed
 M.LIST = input.rows("name text", {
@@ -36,7 +35,6 @@ M.LIST = input.rows("name text", {
     keys = "field flag event active",
     about = "alarms",
     needs_past = true,
-    needs_values = true,
   },
   { "crc", "bad CRC", hides = "with a bad CRC" },
   { "incomplete", "{what}", keys = "what", hides = "incomplete" },
@@ -61,7 +59,6 @@ M.LIST = input.rows("name text", {
     change = "length",
     about = "time",
     needs_past = true,
-    needs_values = true,
   },
   {
     "stale",
@@ -69,7 +66,6 @@ M.LIST = input.rows("name text", {
     change = "stale",
     about = "time",
     needs_past = true,
-    needs_values = true,
     needs_time = true,
   },
   {
@@ -79,7 +75,6 @@ M.LIST = input.rows("name text", {
     change = "length",
     about = "time",
     needs_past = true,
-    needs_values = true,
     needs_time = true,
   },
   {
@@ -88,7 +83,6 @@ M.LIST = input.rows("name text", {
     change = "shared",
     about = "time",
     needs_past = true,
-    needs_values = true,
   },
   {
     "silence",
@@ -103,7 +97,6 @@ M.LIST = input.rows("name text", {
     "{field} {code} is not defined{effect}",
     keys = "field value",
     about = "fields",
-    needs_values = true,
   },
   {
     "disabled",
@@ -111,7 +104,6 @@ M.LIST = input.rows("name text", {
     keys = "length",
     about = "enables",
     needs_past = true,
-    needs_values = true,
     is_optional = true,
   },
   {
@@ -164,6 +156,8 @@ M.CHANGES = {}
 M.RULES = {}
 for _, row in ipairs(M.LIST) do
   row.is_count = true -- of its rule, see stat.rules
+  -- It can be judged only with a message that was decoded: silences need no values.
+  row.needs_values = row.about and row.about ~= "every"
   M.BY_NAME[row.name] = row
   if row.change then M.CHANGES[#M.CHANGES + 1] = row end
   if not row.counts_as then M.RULES[#M.RULES + 1] = row end

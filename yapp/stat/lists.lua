@@ -22,17 +22,9 @@ local EVENTS = output.columns({
     "what happened: `fault`, `reboot`, `silence` and others, see statistics.md",
     title = "event",
   },
-  "time",
-  "frame",
-  "bus",
-  "id",
-  "source",
-  "message",
+  "time frame bus id source message",
   -- The values of the kinds:
-  "field",
-  "flag",
-  "event",
-  "active",
+  "field flag event active",
   {
     "length",
     "seconds",
@@ -48,16 +40,7 @@ local EVENTS = output.columns({
 }, "time rel frame bus id source message kind details near",
   "rel frame bus id source details near")
 local FAULTS = output.columns({
-  "time",
-  "frame",
-  "bus",
-  "id",
-  "source",
-  "message",
-  "field",
-  "flag",
-  "event",
-  "active",
+  "time frame bus id source message field flag event active",
   { "help", "string", "what the catalogue says of the flag" },
   NEAR,
 }, "time rel frame bus id source message field flag event active near",
@@ -106,7 +89,7 @@ function M.event_row(context, event, ending, near, keys)
     time = time and context.dates:value(time),
     rel = output.seconds(time),
     near = near,
-    keys = output.words(near and keys .. " near" or keys),
+    keys = near and keys .. " near" or keys,
   }
   for key, value in pairs(event.values) do
     row[key] = value

@@ -59,11 +59,12 @@ local function read_option(options, part)
     "the options of %s are %s, filter=EXPRESSION", row.name, row.options)
 end
 
--- Call a function of a part of the argument.  If it raises a text, note it as a problem of this
--- part.
-local function attempt(options, part, call)
+-- Call a function of a part of the argument, or of a line.  If it raises a text, note it as a
+-- problem of this part.
+-- place  "FILE:7: " of a line, else ""
+local function attempt(options, call, part, place)
   local ok, why = pcall(call, options, part)
-  if not ok then table.insert(options.problems, ("%s%s: %s"):format(options.place, part, why)) end
+  if not ok then table.insert(options.problems, ("%s%s: %s"):format(place, part, why)) end
 end
 
 local function add_rule(options, text)
@@ -84,17 +85,14 @@ end
 function read_rules(options, path)
   local file, problem = io.open(path, "rb")
   demand(file, "%s", problem)
-  local text, source = file:read("*a") or "", options.source -- no text: a folder
-  file:close()
-  local count, number = #options.rules + #options.problems, 0
-  for line in text:gsub("^\239\187\191", ""):gmatch("([^\n]*)\n?") do
+  local source, number = options.source, 0
+  for line in file:lines() do
     number = number + 1
-    options.place = ("%s:%d: "):format(path, number)
-    local part = trim((" " .. line):gsub("%s#.*", ""))
-    if part ~= "" then attempt(options, part, read_line) end
+    local part = trim((" " .. line:gsub("^\239\187\191", " ")):gsub("%s#.*", ""))
+    if part ~= "" then attempt(options, read_line, part, ("%s:%d: "):format(path, number)) end
   end
-  options.place, options.source = "", source -- for the rules behind the file
-  demand(#options.rules + #options.problems > count, "there is no rule in it")
+  file:close()
+  options.source = source -- for the rules behind the file
 end
 
 local function finish_check(options)
@@ -224,9 +222,8 @@ end
 -- catalogue  compiled
 -- returns    { row = of LIST, nil if there is none; what = its name; filter = or nil; the options
 --            that it names, as json = true; rules = list, and by name; folder, chosen = of csv;
---            number = of fault; statistics = LIST; place = "FILE:7: " while a file is read;
---            problems = list of texts, each names its option; waiting = set of names that no
---            rule follows yet }
+--            number = of fault; statistics = LIST; problems = list of texts; waiting = set of the
+--            names of sources that no rule follows yet }
 function M.parse(text, catalogue)
   local head, filter = text:match("^(.-),%s*filter%s*=(.*)$") -- a display filter, commas and all
   local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")
@@ -237,9 +234,9 @@ function M.parse(text, catalogue)
     options.problems[1] = ("%s: no such statistic; known: %s"):format(text, names)
     return options
   end
-  options.what, options.place, options.catalogue = row.name, "", catalogue
-  for part in rest:gmatch("[^,]+") do attempt(options, trim(part), read_option) end
-  if row.finish then attempt(options, row.name, row.finish) end
+  options.what, options.catalogue = row.name, catalogue
+  for part in rest:gmatch("[^,]+") do attempt(options, read_option, trim(part), "") end
+  if row.finish then attempt(options, row.finish, row.name, "") end
   return options
 end
 

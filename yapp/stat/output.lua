@@ -44,9 +44,10 @@ end
 
 --- An object of these keys, in this order, with the values that a table has under them; a missing
 -- value is null.
+-- keys  a list, or a text: "time frame bus"
 function M.object(keys, values)
   local texts = {}
-  for i, key in ipairs(keys) do
+  for i, key in ipairs(type(keys) == "string" and M.words(keys) or keys) do
     texts[i] = text_value(key) .. ":" .. M.value(values[key])
   end
   return { json = "{" .. table.concat(texts, ",") .. "}" }
@@ -177,7 +178,7 @@ local function list_columns(names, by_name, is_window)
 end
 
 --- Describe the columns of a table.
--- rows     the name of a column of COMMON, or { name, type, help,
+-- rows     a text, the names of columns of COMMON, or { name, type, help,
 --            type   in JSON: "integer", "id", "number", "seconds", "time" (seconds since 1970),
 --                   "boolean", "string" (one of a few), "text", "values" (an object by field) or
 --                   "list"; nil for a column that JSON does not have
@@ -189,12 +190,18 @@ end
 -- returns  { json = list of names, text, window = lists of { name, title }, all = all rows }
 function M.columns(rows, text, window)
   local all, json, by_name = {}, {}, {}
-  for i, row in ipairs(rows) do
-    local column = COMMON[row] or input.rows("name type help", { row })[1]
+  local function add(column)
     local name, unit = column.name, column.unit
     column.title = column.title or unit and name .. "/" .. unit or name
-    all[i], by_name[name] = column, column
+    all[#all + 1], by_name[name] = column, column
     if column.type then json[#json + 1] = name end
+  end
+  for _, row in ipairs(rows) do
+    if type(row) == "table" then
+      add(input.rows("name type help", { row })[1])
+    else
+      for name in row:gmatch("%S+") do add(COMMON[name]) end
+    end
   end
   return {
     all = all,
@@ -213,8 +220,6 @@ function M.objects(keys, rows)
   return M.list(objects)
 end
 
-local DESCRIBED = M.words("name type unit title help")
-
 --- Return the columns of JSON as fields.json has them.
 -- columns  of M.columns
 function M.describe(columns)
@@ -222,26 +227,12 @@ function M.describe(columns)
   for _, column in ipairs(columns.all) do
     if column.type then list[#list + 1] = column end
   end
-  return M.objects(DESCRIBED, list)
+  return M.objects("name type unit title help", list)
 end
 
 -- Return the width of a text: in characters, not bytes.
 local function width_of(text)
   return select(2, text:gsub("[^\128-\191]", ""))
-end
-
--- Return a line of texts: of one width in each column, numbers to the right, without columns where
--- no row has anything.
-local function line_of(columns, texts)
-  local cells = {}
-  for i, column in ipairs(columns) do
-    local text = texts[i]
-    local blanks = (" "):rep(column.width - width_of(text))
-    local cell = column.is_number and blanks .. text or text .. blanks
-    if not column.is_empty then cells[#cells + 1] = cell end
-  end
-  -- gsub("%s*$") would try each blank as the first of the last ones.
-  return (table.concat(cells, "  "):match(".*%S") or "") .. "\n"
 end
 
 --- Sort a list.  Entries with equal values keep their order.
@@ -267,29 +258,42 @@ function M.sortable(name)
   return (name:gsub("%d+", function(digits) return format("%012d", digits) end))
 end
 
+-- Return the title of a column and its texts, of one width, numbers to the right; nil if no row has
+-- anything there.
+local function cells_of(column, rows, is_window)
+  local texts, is_number, is_empty = { column.title }, true, true
+  for i, row in ipairs(rows) do
+    local text = M.text(row[column.name], is_window)
+    texts[i + 1] = text
+    is_number = is_number and not text:find("[^%d.e+-]")
+    is_empty = is_empty and text == ""
+  end
+  if is_empty then return nil end
+  local width = 0
+  for _, text in ipairs(texts) do width = math.max(width, width_of(text)) end
+  for i, text in ipairs(texts) do
+    local blanks = (" "):rep(width - width_of(text))
+    texts[i] = is_number and blanks .. text or text .. blanks
+  end
+  return texts
+end
+
 --- Print a table with aligned columns, a line a row.
 -- context, columns, rows  see M.print
 function M.table(context, columns, rows)
-  local frames, titles, cells = context.frames, {}, {}
-  local lines = { titles }
-  for i, column in ipairs(frames and columns.window or columns.text) do
-    local title = column.title
-    titles[i] = title
-    cells[i] = { name = column.name, width = width_of(title), is_number = true, is_empty = true }
+  local frames, list = context.frames, {}
+  for _, column in ipairs(frames and columns.window or columns.text) do
+    table.insert(list, cells_of(column, rows, frames))
   end
-  for _, row in ipairs(rows) do
+  for line = 1, #rows + 1 do
     local texts = {}
-    for i, column in ipairs(cells) do
-      local text = M.text(row[column.name], frames)
-      texts[i] = text
-      column.width = math.max(column.width, width_of(text))
-      column.is_number = column.is_number and not text:find("[^%d.e+-]")
-      column.is_empty = column.is_empty and text == ""
-    end
-    lines[#lines + 1] = texts
-    if frames then frames[#frames + 1] = row.frame or row.gap_max_frame end
+    for i, cells in ipairs(list) do texts[i] = cells[line] end
+    -- gsub("%s*$") would try each blank as the first of the last ones.
+    context.out((table.concat(texts, "  "):match(".*%S") or "") .. "\n")
   end
-  for _, texts in ipairs(lines) do context.out(line_of(cells, texts)) end
+  for _, row in ipairs(frames and rows or {}) do
+    table.insert(frames, row.frame or row.gap_max_frame)
+  end
 end
 
 --- Print rows: for people under a title and the notes, or as a JSON object a line.

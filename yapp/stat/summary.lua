@@ -29,10 +29,7 @@ end
 --   needs_time  true if it means nothing without time stamps
 --- The columns of summary, see output.columns.
 M.COLUMNS = output.columns({
-  "bus",
-  "id",
-  "source",
-  "message",
+  "bus id source message",
   { "count", "integer", "good messages" },
   {
     "rate",
@@ -111,7 +108,6 @@ M.COLUMNS = output.columns({
 }, "bus id source message count rate gap_min gap_mean gap_max gap_max_frame crc_bad incomplete " ..
   "late silent reboots invalid skipped missing copies",
   "who message count rate gap_max crc_bad incomplete late silent reboots missing")
-local RANGE = output.words("min mean max")
 local VALUES = output.columns({}, "bus id source message field unit min mean max count",
   "who field unit min mean max")
 
@@ -131,7 +127,7 @@ function M.row(group, ending, is_window)
   end
   for i, values in ipairs(group.values) do
     local range = groups.row(group, values)
-    names[i], ranges[range.field] = range.field, output.object(RANGE, range)
+    names[i], ranges[range.field] = range.field, output.object("min mean max", range)
   end
   row.values = output.object(names, ranges)
   return output.row(group.source, row)
@@ -158,7 +154,7 @@ end
 
 -- compare -----------------------------------------------------------------------------------------
 
-local OF_SOURCE = output.words("bus id source count min mean max")
+local OF_SOURCE = "bus id source count min mean max"
 --- The columns of compare, see output.columns.  People read a line for each field and source.
 M.COMPARED = output.columns({
   "message",
@@ -167,35 +163,30 @@ M.COMPARED = output.columns({
   { "spread", "number", "the largest difference of the sources at one time" },
   { "time", "time", "when they differ by it" },
   "frame",
-  { "sources", "list", "`" .. table.concat(OF_SOURCE, " ") .. "`" },
+  { "sources", "list", "`" .. OF_SOURCE .. "`" },
 }, "field unit who min mean max spread rel frame", "field unit who min mean max spread")
 local Compare = groups.class { compares = true }
 
 --- See groups.class.
 M.compare = Compare.new
 
--- Sort the rows of a field, the odd ones first: by how far their mean is from the median.  Return
--- how odd the first one is: its distance beside the second one's, and 1 % of its values.
-local function sort_odd(rows)
-  local means, distances = {}, {}
-  for _, row in ipairs(rows) do insert(means, row.mean) end
-  if not means[3] then return 0 end
-  local middle = groups.median(means)
-  for _, row in ipairs(rows) do distances[row] = math.abs((row.mean or middle) - middle) end
-  output.sort(rows, function(row) return -distances[row] end)
-  local first = rows[1]
-  local floor = distances[rows[2]] + (math.abs(middle) + first.max - first.min) / 100
-  return floor > 0 and distances[first] / floor or 0
-end
-
--- Return the rows of a field: one for each source, the odd ones first; for JSON one.  The first has
--- the spread of all.
+-- Return the rows of a field, one for each source, the odd ones first: by how far their mean is
+-- from the median.  The first has the spread of all.  odd = how odd that one is: its distance
+-- beside the second one's, and 1 % of its values.
 local function rows_of(self, list, index)
-  local spread, rows = list[1].values[index].spread, {}
-  for i, group in ipairs(list) do rows[i] = groups.row(group, group.values[index]) end
+  local spread, rows, means = list[1].values[index].spread, {}, {}
+  for i, group in ipairs(list) do
+    rows[i] = groups.row(group, group.values[index])
+    insert(means, rows[i].mean)
+  end
   local sources = output.objects(OF_SOURCE, rows)
-  if self.context.json then rows = { rows[1] } end
-  rows.odd = sort_odd(rows)
+  if means[3] then
+    local middle = groups.median(means)
+    local function distance(row) return math.abs((row.mean or middle) - middle) end
+    output.sort(rows, function(row) return -distance(row) end)
+    local floor = distance(rows[2]) + (math.abs(middle) + rows[1].max - rows[1].min) / 100
+    rows.odd = floor > 0 and distance(rows[1]) / floor
+  end
   for i = 2, #rows do rows[i].field, rows[i].unit = nil, nil end
   local row, rel = rows[1], spread.rel
   row.spread, row.frame, row.rel = spread.worst, spread.frame, output.seconds(rel)
@@ -203,13 +194,14 @@ local function rows_of(self, list, index)
   return rows
 end
 
--- Print the table of a message's sources, the oddest field first.
+-- Print the table of a message's sources: for people the oddest field first, for JSON a line for
+-- each field.
 local function print_compared(self, list, notes)
-  local fields, rows = {}, {}
+  local fields, rows, is_json = {}, {}, self.context.json
   for index in ipairs(list[1].values) do fields[index] = rows_of(self, list, index) end
-  output.sort(fields, function(of_field) return -of_field.odd end)
-  for _, of_field in ipairs(fields) do
-    for _, row in ipairs(of_field) do insert(rows, row) end
+  if not is_json then output.sort(fields, function(field) return -(field.odd or 0) end) end
+  for _, field in ipairs(fields) do
+    for i = 1, is_json and 1 or #field do insert(rows, field[i]) end
   end
   local title = ("YAPP compare: %d sources of %s"):format(#list, list[1].type.title)
   output.print(self.context, title, M.COMPARED, rows, notes)

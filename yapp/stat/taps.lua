@@ -151,7 +151,7 @@ local function tap_refused(self)
   end)
 end
 
--- Show a statistic all CAN frames.
+-- Show all CAN frames to a stat.buses.
 -- filter  that these pass, or nil
 local function tap_frames(self, statistic, filter)
   local passes = filter and (" && (%s)"):format(filter) or ""
@@ -236,7 +236,6 @@ local function add_terminal(self, options, context)
   options.json = options.json or not (HAS_SHELL and os.execute("test -t 1"))
   context.terminal = {
     size = terminal_size,
-    has_no_color = (os.getenv("NO_COLOR") or "") ~= "",
     -- tshark's own packet list scrolls.
     in_place = function()
       local wants = self.wants.first_pass
@@ -250,7 +249,7 @@ local function add_terminal(self, options, context)
     if HAS_SHELL and self.buses.found.is_live then
       io.popen("kill -INT $PPID"):close()
     else
-      self.conclude()
+      self:conclude()
     end
   end
 end
@@ -276,7 +275,8 @@ local function begin_statistic(self, text, context)
   if row.is_live and not context.frames then add_terminal(self, options, context) end
   context.json = options.json
   local statistic = row.new(options, context)
-  if row.reads_frames or options.bitrate then tap_frames(self, statistic, filter) end
+  local buses = row.reads_frames and statistic or options.bitrate and statistic.buses
+  if buses then tap_frames(self, buses, filter) end
   run:add(statistic, options)
 end
 
@@ -306,8 +306,8 @@ end
 
 -- tshark ----------------------------------------------------------------------------------------
 
--- All packets have come: print, name errors, and exit if the code is not 0.
-local function conclude(self)
+--- All packets have come: print, name errors, and exit if the code is not 0.
+function Stat:conclude()
   local ok, code, texts = pcall(finish, self)
   if not ok then
     code, texts = output.EXIT_UNDECIDED, { tostring(code) }
@@ -327,19 +327,6 @@ local function conclude(self)
   if code ~= output.EXIT_OK then os.exit(code) end
 end
 
--- One -z argument.
-local function begin_argument(self, text)
-  if not self.current then
-    open(self)
-    self.conclude = function() conclude(self) end
-    self.taps[1].draw = self.conclude
-  end
-  begin_statistic(self, text, { out = function(chunk)
-    local ok, problem = io.stdout:write(chunk)
-    if not ok then self.problem = problem end
-  end })
-end
-
 --- Forget the capture file.  A live capture with -b may go on in another one, of which tshark
 -- analyses no more than a few packets.
 function Stat:reset()
@@ -350,8 +337,18 @@ end
 --- Begin the statistic of an argument of -z.
 function Stat:begin(text)
   if self.show then return self.show(text) end
+  local function out(chunk)
+    local ok, problem = io.stdout:write(chunk)
+    if not ok then self.problem = problem end
+  end
   -- Wireshark swallows an error here, so all that can fail ends with a message and a code.
-  local ok, problem = pcall(begin_argument, self, text)
+  local ok, problem = pcall(function()
+    if not self.current then
+      open(self)
+      self.taps[1].draw = function() self:conclude() end
+    end
+    begin_statistic(self, text, { out = out })
+  end)
   if not ok then
     print_error(tostring(problem))
     os.exit(output.EXIT_UNDECIDED)

@@ -8,7 +8,6 @@
 local buses = require "yapp.stat.buses"
 local check = require "yapp.stat.check"
 local groups = require "yapp.stat.groups"
-local joined = require "yapp.base.joined"
 local judge = require "yapp.stat.judge"
 local kinds = require "yapp.stat.kinds"
 local lists = require "yapp.stat.lists"
@@ -19,6 +18,7 @@ local M = {}
 
 local CHARACTER = "[^\128-\191][\128-\191]*" -- of UTF-8
 local CLEAR, RED, NORMAL = "\27[H\27[J", "\27[31m", "\27[m"
+local HAS_COLOR = (os.getenv("NO_COLOR") or "") == ""
 
 --- The columns, see output.columns.
 M.COLUMNS = output.columns({
@@ -37,15 +37,15 @@ local TABLE = output.columns({
   { "age", title = "age/s" },
   { "limit", title = "nearest limit" },
 }, "who message count hz age faults limit values")
-local SOURCE_KEYS = joined(summary.COLUMNS.json,
-  output.words("hz age faults latest_fault latest_fault_time"))
+local SOURCE_KEYS = table.concat(summary.COLUMNS.json, " ") ..
+  " hz age faults latest_fault latest_fault_time"
 
 local Watch = { follows_changes = true }
 Watch.__index = Watch
 
 --- Make the statistic.
 -- options  { rules = of check; stop = "fault", "rule" or nil; bitrate = see stat.buses }
--- context  { terminal = { width, height, in_place } or nil; stop = function(), ends the run; the
+-- context  { terminal = { size, in_place } or nil; stop = function(), ends the run; the
 --          rest for output.print, see stat.answer }
 function M.new(options, context)
   return setmetatable({
@@ -74,15 +74,6 @@ function Watch:add_event(event)
     self.raised[event.source] = event
     self.must_stop = self.options.stop == "fault"
   end
-end
-
---- Show the frames of a bus, see stat.buses.
-function Watch:add_frame(...)
-  self.buses:add_frame(...)
-end
-
-function Watch:add_yapp(...)
-  self.buses:add_yapp(...)
 end
 
 -- The state of a source ---------------------------------------------------------------------------
@@ -166,7 +157,7 @@ local function print_tables(self, rows, failed, bus_rows, ending, pause)
       count = count + 1
       return count > width and "" or nil
     end)
-    lines[#lines + 1] = is_red and not terminal.has_no_color and RED .. line .. NORMAL or line
+    lines[#lines + 1] = is_red and HAS_COLOR and RED .. line .. NORMAL or line
   end
   local function add_table(columns, list)
     local index = 0 -- of the row; 0 is the heading
