@@ -305,37 +305,22 @@ def show_file(capture, way, folder, installed=False, units=None, arguments=None)
     return run
 
 
-class Result:
-    """What came of a file: its number, frames, frames of YAPP, the most CPU seconds a frame and MiB, problems with the
-    way that shows each, and what Wireshark does wrong alone."""
-
-    def __init__(self, number):
-        self.number, self.frames, self.yapp, self.slowest, self.most = number, 0, 0, 0.0, 0.0
-        self.problems, self.not_ours = [], []
-
-
 def one_file(seed, number):
-    """Makes a file and looks at it."""
+    """Makes a file and looks at it: (its number, frames, frames of YAPP, problems with the way that shows each, what Wireshark
+    does wrong alone)."""
     capture, ways, installed = make(seed, number)
-    folder = tshark.writable_folder()
-    result = Result(number)
+    folder, counts, problems, not_ours = tshark.writable_folder(), (0, 0), [], []
     try:
         for way in ways:
             if way[0] == "sharkd" and not shutil.which("sharkd"):
                 continue
             run = show_file(capture, way, folder, installed)
-            if way == TWO_PASSES:
-                result.frames, result.yapp = run.frames_read()
-            if len(capture.units) > 3000:  # of less, the start of the program is the most
-                result.slowest = max(result.slowest, run.cpu / len(capture.units))
-            result.most = max(result.most, run.rss)
-            if run.problem:
-                result.problems.append((run.problem, way))
-            if run.not_ours:
-                result.not_ours.append(run.not_ours)
+            counts = run.frames_read() if way == TWO_PASSES else counts
+            problems += [(run.problem, way)] if run.problem else []
+            not_ours += [run.not_ours] if run.not_ours else []
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    return result
+    return number, *counts, problems, not_ours
 
 
 # Findings ----------------------------------------------------------------------------------------------------------
@@ -370,12 +355,12 @@ def reduce(capture, way, installed, wanted, attempts=300, seconds=600):
     return units, arguments
 
 
-def keep(seed, number, problem, way, where):
+def keep(seed, number, problem, way):
     """Makes a finding small and keeps it: its file, the call that shows it, the number of units left."""
     capture, _, installed = make(seed, number)
     units, arguments = reduce(capture, way, installed, signature(problem))
     name = hashlib.sha1(signature(problem).encode()).hexdigest()[:8]
-    path = where / f"{name}{capture.suffix}"
+    path = FINDINGS / f"{name}{capture.suffix}"
     capture.write(path, units)
     words = [word for group in arguments for word in group]
     path.with_suffix(".args").write_text(f"# {problem}\n{shlex.join(words)}\n{shlex.join(way)}\n")
@@ -420,63 +405,50 @@ def results(seed, frames, jobs):
                 running.append(pool.submit(one_file, seed, number))
                 number += 1
             result = running.pop(0).result()
-            done += result.frames
+            done += result[1]
             yield result
         pool.shutdown(cancel_futures=True)
 
 
+def run(seed, least, jobs):
+    """Looks at files until they have so many frames; keeps what fails, each fault once.  Returns the exit code."""
+    start, shown = time.monotonic(), time.monotonic()
+    known, not_ours, files, bad, frames, yapp = set(), 0, 0, 0, 0, 0
+    for number, count, ours, problems, others in results(seed, least, jobs):
+        files, frames, yapp, bad, not_ours = files + 1, frames + count, yapp + ours, bad + bool(problems), not_ours + len(others)
+        for problem, way in problems:
+            if signature(problem) not in known and len(known) < 10:
+                known.add(signature(problem))
+                print(f"fuzz: file {number} of seed {seed}: {problem}", flush=True)
+                path, command, left = keep(seed, number, problem, way)
+                print(f"fuzz: made small, {left} units: {path}\n      {command}", flush=True)
+        for problem in others:
+            print(f"fuzz: file {number} of seed {seed}: Wireshark alone too: {problem}", flush=True)
+        if time.monotonic() - shown > 15:
+            shown = time.monotonic()
+            print(f"fuzz: {frames} frames, {files} files, {shown - start:.0f} s", flush=True)
+    print(f"fuzz: tshark {'.'.join(map(str, tshark.version()))}, seed {seed}, {frames} frames, {yapp} of them YAPP's, in {files} files, "
+          f"{time.monotonic() - start:.0f} s; {len(known)} findings, {not_ours} of Wireshark alone")
+    print(f"{files - bad} passed, {bad} failed")
+    return 1 if bad or not files else 0
+
+
 def main():
-    global PLUGIN, LONGEST
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--frames", type=int, default=100_000)
     parser.add_argument("--seed", default="1")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
-    parser.add_argument("--longest", type=int, default=LONGEST, help="frames of a file; more make more frames a second")
     parser.add_argument("--file", type=int, help="look at this file of the seed only")
-    parser.add_argument("--replay", type=pathlib.Path, help="look at this capture only")
-    parser.add_argument("--plugin", type=pathlib.Path, default=ROOT, help="folder of the plugin")
-    parser.add_argument("--keep", type=pathlib.Path, default=FINDINGS, help="where findings go")
     options = parser.parse_args()
-    PLUGIN, LONGEST = options.plugin.resolve(), options.longest
     homes()  # before the workers start, for all of them
     try:
-        if options.replay:
-            problem = next(replay(options.replay), None)
-            print(problem or "nothing is wrong")
-            return 1 if problem else 0
         our_preferences()
         if options.file is not None:
-            print(vars(one_file(options.seed, options.file)))
+            print(one_file(options.seed, options.file))
             return 0
-        return run(options)
+        return run(options.seed, options.frames, options.jobs)
     finally:
         shutil.rmtree(homes(), ignore_errors=True)
-
-
-def run(options):
-    start, shown = time.monotonic(), time.monotonic()
-    known, not_ours, files, bad, slowest, most, frames, yapp = {}, [], 0, 0, 0.0, 0.0, 0, 0
-    for result in results(options.seed, options.frames, options.jobs):
-        files, frames, yapp = files + 1, frames + result.frames, yapp + result.yapp
-        slowest, most, bad = max(slowest, result.slowest), max(most, result.most), bad + bool(result.problems)
-        for problem, way in result.problems:
-            if signature(problem) not in known and len(known) < 10:
-                print(f"fuzz: file {result.number} of seed {options.seed}: {problem}", flush=True)
-                path, command, left = keep(options.seed, result.number, problem, way, options.keep)
-                known[signature(problem)] = path
-                print(f"fuzz: made small, {left} units: {path}\n      {command}", flush=True)
-        for problem in result.not_ours:
-            not_ours.append(problem)
-            print(f"fuzz: file {result.number} of seed {options.seed}: Wireshark alone too: {problem}", flush=True)
-        if time.monotonic() - shown > 15:
-            shown = time.monotonic()
-            print(f"fuzz: {frames} frames, {files} files, {shown - start:.0f} s", flush=True)
-    version = ".".join(map(str, tshark.version()))
-    print(f"fuzz: tshark {version}, seed {options.seed}, {frames} frames, {yapp} of them YAPP's, in {files} files, "
-          f"{time.monotonic() - start:.0f} s; at most {slowest * 1e6:.0f} µs of CPU a frame, {most:.0f} MiB; "
-          f"{len(known)} findings, {len(not_ours)} of Wireshark alone")
-    print(f"{files - bad} passed, {bad} failed")
-    return 1 if bad or not files else 0
 
 
 if __name__ == "__main__":

@@ -204,19 +204,6 @@ def test_tshark_is_installed_where_there_is_none(folder, project, flights):
     assert [line.split()[0] for line in (folder / "asked").read_text().splitlines()] == ["update", "install"]
 
 
-def test_no_tshark_and_no_way_to_get_it(folder, project, flights):
-    place = programs(folder)
-    command = [place / "bash", project / "ci/yapp-gate.sh", *arguments(flights / "clean.pcapng")]
-    done = run(command, folder, PATH=str(place))
-    assert done.returncode == 2 and "no tshark: install Wireshark" in done.stderr
-    (place / "apt-get").symlink_to("/bin/false")
-    (place / "id").unlink()
-    (place / "id").write_text("#!/bin/bash\necho 1000\n")
-    (place / "id").chmod(0o755)
-    done = run(command, folder, PATH=str(place))
-    assert done.returncode == 2 and "no sudo: as root, apt-get install tshark" in done.stderr
-
-
 # The jobs --------------------------------------------------------------------------------------------------------------
 
 def block(text, key):

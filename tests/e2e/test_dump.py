@@ -27,7 +27,6 @@ AS_DUMP = ["-X", "read_format:yapp_dump"]
 LONGEST = 65536  # bytes between frames in one record
 TAGS = 28  # bytes of an exported PDU in front of the record's own
 FRAME = ["frame.len", "frame.cap_len", "frame.file_off", "frame.time_epoch", "frame.protocols"]
-NAMES = FRAME + test_streams.FIELDS
 SAID = "yapp: not opened as a raw serial dump"
 
 
@@ -100,38 +99,18 @@ def clocked(rng, count):
 
 # What tshark shows -----------------------------------------------------------------------------------------------
 
-FLAGS = {"True": "1", "False": "0"}  # as -T fields of 4.2 and later has them
-
 
 def rows(path, *arguments):
     """The records, as dictionaries of what is there: {field: [values]}."""
-    wanted = [argument for name in NAMES for argument in ("-e", name)]
-    done = tshark.run(*arguments, "-o", "frame.show_file_off:TRUE", "-r", path, "-T", "fields", "-E", "occurrence=a",
-                      "-E", "aggregator=;", *wanted)
-    shown = []
-    for line in done.stdout.splitlines():
-        values = dict(zip(NAMES, line.split("\t")))
-        row = {name: [FLAGS.get(one, one) for one in value.split(";")] for name, value in values.items() if value}
-        row["info"] = values[test_streams.INFO]
-        if tshark.version() >= (4, 2):
-            row["info"] = row["info"].replace(r"\\", "\\")
-        shown.append(row)
-    return shown
-
-
-def packet_of(number, event):
-    """The record of an event, as a packet of its own."""
-    packet = Packet(event.data, Origin(EXPORTED_PDU, 0, 0))
-    packet.number = number
-    packet.events = [Event(event.kind, event.data, 0)]
-    return packet
+    return list(test_streams.shown(path, "-o", "frame.show_file_off:TRUE", *arguments, also=FRAME).values())
 
 
 def packets_of(events):
-    """With the times between messages of one ID."""
+    """The record of each event, as a packet of its own, with the times between messages of one ID."""
     packets, previous = [], {}
     for number, event in enumerate(events, 1):
-        packet = packet_of(number, event)
+        packet = Packet(event.data, Origin(EXPORTED_PDU, 0, 0))
+        packet.number, packet.events = number, [Event(event.kind, event.data, 0)]
         if event.kind == "good":
             if event.ident in previous and event.time is not None:
                 packet.events[0].delta = event.time - previous[event.ident]

@@ -46,27 +46,6 @@ def j1939(rng):
     return frames
 
 
-def dronecan(rng):
-    """Node status and longer transfers, each frame with its tail byte."""
-    frames = []
-    while len(frames) < COUNT:
-        source, transfer = rng.randrange(1, 128), rng.randrange(32)
-        kind = rng.choice([341, 1010, 1030, 1034, 1063, 20007, 16383])
-        if rng.random() < 0.2:  # a service
-            can_id = 30 << 24 | 1 << 16 | rng.randrange(2) << 15 | rng.randrange(1, 128) << 8 | 0x80 | source
-        else:
-            can_id = rng.choice([8, 16, 20, 24]) << 24 | kind << 8 | source
-        data = rng.randbytes(rng.choice([4, 7, 7, 20, 40]))
-        if len(data) <= 7:
-            frames.append(Frame(can_id, data + bytes([0xC0 | transfer])))
-            continue
-        data = struct.pack("<H", rng.getrandbits(16)) + data
-        for index, at in enumerate(range(0, len(data), 7)):
-            tail = (0x80 if at == 0 else 0) | (0x40 if at + 7 >= len(data) else 0) | index % 2 << 5 | transfer
-            frames.append(Frame(can_id, data[at:at + 7] + bytes([tail])))
-    return frames
-
-
 def remote_and_error(rng):
     """Remote frames on the very IDs of YAPP, with the zeros that some tools record, and without data; error frames."""
     frames = []
@@ -100,8 +79,6 @@ def random_extended(rng):
 TRAFFIC = {
     "J1939": (j1939, []),
     "J1939, Decode As": (j1939, ["-d", "can.subdissector,j1939"]),
-    "DroneCAN": (dronecan, []),
-    "DroneCAN, Decode As": (dronecan, ["-d", "can.subdissector,uavcan_can"]),
     "remote and error frames": (remote_and_error, []),
     "random extended": (random_extended, []),
     "random extended, Decode As": (random_extended, ["-d", "can.subdissector,j1939"]),

@@ -325,20 +325,6 @@ def test_what_an_adapter_is_asked_for(extcap, monkeypatch, fd, more):
     assert list(frames) == [] and asked[1:] == ["shutdown"]
 
 
-def test_an_unusual_rate(folder, port):
-    extcap = Extcap(folder, "--port", port.name, "--baud", 250000)
-    settings = bytearray(44)
-
-    def rate():
-        fcntl.ioctl(port.near, 0x802C542A, settings)
-        return struct.unpack_from("=I", settings, 40)[0]
-
-    wait_for(lambda: rate() == 250000)
-    port.write(FRAME)
-    wait_for(lambda: FRAME in extcap.data)
-    extcap.end()
-
-
 SPEED = 300_000  # bytes a second: 3 Mbaud
 
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What the user may set: preferences, the catalogue, where the plugin is installed.  Nonsense gets a clear message."""
 import pathlib
-import re
 import sys
 
 import pytest
@@ -119,69 +118,3 @@ def test_what_cannot_be_read_is_said_and_is_never_well(setting, said):
                       check=False)
     assert done.returncode == (20 if "ids" in setting else 21)  # what is no Motor Data any more is unknown
     assert f"yapp: preferences: {said}\n" in done.stderr and done.stderr.count(said) == 1 and f"preferences: {said}" in done.stdout
-
-
-# The catalogue ---------------------------------------------------------------------------------------------------
-
-def with_catalogue(folder, text):
-    """The arguments that load a copy of the plugin with another catalogue; None for no such file."""
-    script = tshark.copy_plugin(folder) / "yapp.lua"
-    catalogue = folder / "taurus_fields.lua"
-    if text is None:
-        catalogue.unlink()
-    else:
-        catalogue.write_text(text)
-    return {"plugin": False, "env": {"HOME": str(folder)}}, tshark.load(script)
-
-
-CATALOGUE = (tshark.PLUGIN / "taurus_fields.lua").read_text()
-ALL_THREE = [f"can0 fd [210 {MOTOR}]", f"can0 [210 {MOTOR}]", f"can0 fd [200 {HEALTH}]",
-             "can0 [0 01 5A 01 4F 80 F3 80]"]
-NUMBERS = {"Motor Data": 6, "Health": 7, "Command": 8}
-
-def decoded_with(load, path, options, *arguments):
-    """What stderr says, and {title: last frame in which a message is decoded}.  All frames have to be YAPP's."""
-    done = tshark.run(*load, "-r", path, "-o", "yapp.all_extended:TRUE", "-T", "fields", "-e", "frame.number", "-e",
-                      "frame.protocols", "-e", "yapp.payload", "-e", "_ws.lua.error", "-e", expected.column("Info"),
-                      *arguments, **options)
-    decoded = {}
-    for line in done.stdout.splitlines():
-        number, protocols, payload, error, info = line.split("\t")
-        assert not error and "yapp" in protocols
-        for title in NUMBERS:
-            if info.startswith(f"{title}  ") and not payload and not re.search(r"(Start|\d) of \d", info):
-                decoded[title] = int(number)
-    return [line for line in done.stderr.splitlines() if line.startswith("yapp: ")], decoded
-
-
-# What is changed in the catalogue, what stderr has to name, and which message is not decoded from then on.
-TORQUE = '{ "torque_iq", "float16", "Torque IQ", min = -200, max = 200, unit = "A" },'
-BROKEN = [
-    (TORQUE, TORQUE.replace("float16", "float12"), 'message command, field torque_iq: unknown type "float12"', "Command"),
-    ("size = 32", "size = 31", "message motor: size is 31, but the fields add up to 32 bytes", "Motor Data"),
-    ("id = 0x200", "id = 0x210", "message health: id 0x210 is that of message motor", "Health"),
-    ('{ "enabled", 0x20000,', '{ "enabled", 0x10000,', "message motor, field status_flags: enabled: bit 0x10000 is another's", "Motor Data"),
-]
-
-
-@pytest.mark.parametrize("old, new, said, broken", BROKEN, ids=[row[2].split(":")[0] for row in BROKEN])
-def test_broken_message(folder, old, new, said, broken):
-    assert CATALOGUE.count(old) == 1
-    options, load = with_catalogue(folder, CATALOGUE.replace(old, new))
-    path = write(folder, *ALL_THREE)
-    wanted = {title: number for title, number in NUMBERS.items() if title != broken}
-    stderr, decoded = decoded_with(load, path, options)
-    assert any(said in line for line in stderr), stderr
-    assert decoded == wanted
-
-
-def test_no_catalogue(folder):
-    options, load = with_catalogue(folder, None)
-    stderr, decoded = decoded_with(load, write(folder, *ALL_THREE), options)
-    assert len(stderr) == 1 and "taurus_fields.lua: cannot be read" in stderr[0] and "not decoded" in stderr[0]
-    assert decoded == {}
-
-
-# Where it is installed -------------------------------------------------------------------------------------------
-
-

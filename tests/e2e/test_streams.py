@@ -41,13 +41,14 @@ PASSES = {"one pass": [], "-2": ["-2"], "-2 -Y": ["-2", "-Y", "yapp"]}
 SOME_PASSES = list(PASSES.values())[:levels.size(2, 3)]
 
 
-def shown(path, *arguments):
+def shown(path, *arguments, also=()):
     """What tshark shows of each packet, by number: {field: [values]}, without the fields that are not there."""
-    wanted = [argument for name in FIELDS for argument in ("-e", name)]
+    names = [*FIELDS, *also]
+    wanted = [argument for name in names for argument in ("-e", name)]
     done = tshark.run(*arguments, "-r", path, "-T", "fields", "-E", "occurrence=a", "-E", "aggregator=;", *wanted)
     packets = {}
     for line in done.stdout.splitlines():
-        values = dict(zip(FIELDS, line.split("\t")))
+        values = dict(zip(names, line.split("\t")))
         packet = {name: [plain(name, one) for one in value.split(";")] for name, value in values.items() if value}
         packet["info"] = values[INFO] if tshark.version() < (4, 2) else values[INFO].replace(r"\\", "\\")
         packets[int(values["frame.number"])] = packet

@@ -57,17 +57,6 @@ def test_columns_buttons_colours(capture):
             wait_for_words(wireshark, ["Faults", "Telegrams"], seconds=3)
 
 
-def test_graphs(capture):
-    with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
-        wireshark.wait_for_window("flight.pcapng")
-        wireshark.press("alt+s", "i", until=lambda: any("I/O Graphs" in title for title in wireshark.windows().values()))
-        wireshark.wait_for_window("I/O Graphs")
-        wait_for_words(wireshark, ["RPM measured", "RPM commanded", "Faults raised"], scale=200)
-        # The commanded speed is a plus, whose lines are thin.
-        for colour, least in (("#0072b2", 100), ("#003050", 100), ("#e69f00", 8)):
-            assert wireshark.pixels(colour) > least, colour
-
-
 @pytest.mark.skipif(VERSION < (4, 6), reason="from 4.6 on")
 def test_plots(capture):
     with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
