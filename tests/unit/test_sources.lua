@@ -50,18 +50,18 @@ end
 
 -- Names of people, of interfaces, and those that a capture gives a bus that has none, or one with others.
 function T.test_odd_names()
-  local s, problems = parse([[0x300= motor :, 0x301=health:left:aft=2, 0x302=ÄÖ rotor 3, if1/0x210=a, ]] ..
+  local s, problems = parse([[0x300= motor :, 0x301=health:left:aft 2, 0x302=ÄÖ rotor 3, if1/0x210=a, ]] ..
     [[any#3 / 0x210 = b, a\xE2\x80\x8Bb/0x210=d, vcan/0/0x210=e, \Device\NPF_{1-2}/0x210=f, left bus / 1=g]])
   lu.assertEquals(problems, {})
   lu.assertNil(name_of(s, nil, 0x300))
   lu.assertEquals({ message_name(s, nil, 0x300), name_of(s, nil, 0x301), name_of(s, nil, 0x302),
     name_of(s, "if1", 0x210), name_of(s, "any#3", 0x210), name_of(s, [[a\xE2\x80\x8Bb]], 0x210),
     name_of(s, "vcan/0", 0x210), name_of(s, [[\Device\NPF_{1-2}]], 0x210), name_of(s, "left bus", 1) },
-    { "motor", "left:aft=2", "ÄÖ rotor 3", "a", "b", "d", "e", "f", "g" })
+    { "motor", "left:aft 2", "ÄÖ rotor 3", "a", "b", "d", "e", "f", "g" })
 end
 
 function T.test_what_is_wrong_is_said_part_by_part_and_the_rest_holds()
-  local s, problems = parse("0x210, 0x800=a, left/x=b, 0x210=moter:c, 0x211=, 1.5=r, 0x215=good, =left, 1=d;2=e")
+  local s, problems = parse("0x210, 0x800=a, left/x=b, 0x210=moter:c, 5=, 1.5=r, 0x215=good, =left, 1=d;2=e, 3=f 4=g")
   lu.assertEquals(name_of(s, nil, 0x215), "good")
   lu.assertEquals(#s.rows, 1)
   local shape = 'yapp.sources: a part that is not understood in "%s"; write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME'
@@ -70,9 +70,9 @@ function T.test_what_is_wrong_is_said_part_by_part_and_the_rest_holds()
     'yapp.sources: no ID "0x800" in "0x800=a"; IDs are 0 to 0x7FF',
     'yapp.sources: no ID "x" in "left/x=b"; IDs are 0 to 0x7FF',
     'yapp.sources: no message "moter" in "0x210=moter:c"; known messages: ' .. table.concat(NAMES, ", "),
-    shape:format("0x211="),
+    shape:format("5="),
     'yapp.sources: no ID "1.5" in "1.5=r"; IDs are 0 to 0x7FF',
-    shape:format("=left"), shape:format("1=d;2=e"),
+    shape:format("=left"), shape:format("1=d;2=e"), shape:format("3=f 4=g"),
   })
 end
 

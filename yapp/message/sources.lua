@@ -60,7 +60,7 @@ end
 
 -- Add the rows of a part.
 local function add_part(self, part, catalogue)
-  local address, value = part:match("^([^=]*[^=%s])%s*=%s*([^;]+)$")
+  local address, value = part:match("^([^=]*[^=%s])%s*=%s*([^=]+)$")
   demand(address, "a part that is not understood; write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME")
   local message_type, name = parse_value(value, catalogue)
   local bus, ids = address:match("^(.-)%s*/([^/]*)$")
