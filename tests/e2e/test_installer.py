@@ -280,17 +280,6 @@ def test_the_zip_installs(home, folder, zips):
     assert all_of(home) == set()
 
 
-def test_the_zip_has_what_its_readme_leads_to(zips):
-    names = set(zipfile.ZipFile(zips[0]).namelist())
-    assert {"yapp/install.py", "yapp/docs/fault.md", "yapp/docs/first.pcapng", "yapp/docs/flight.pcapng",
-            "yapp/tools/pyproject.toml"} <= names
-    assert any(name.startswith("yapp/tools/src/yapp_tables/") for name in names)
-    for page in ["README.md", *(name[5:] for name in names if name.startswith("yapp/docs/") and name.endswith(".md"))]:
-        text = zipfile.ZipFile(zips[0]).read(f"yapp/{page}").decode()
-        for target in re.findall(r"\]\((?!https?:|#)([^)#]*)", text):
-            assert os.path.normpath(pathlib.Path("yapp", page).parent / target) in names, (page, target)
-
-
 def test_the_readme_of_the_zip(home, folder, zips):
     """Its commands need nothing but what is in it, and every file that it names is there."""
     zipfile.ZipFile(zips[0]).extractall(folder)

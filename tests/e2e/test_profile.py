@@ -88,21 +88,6 @@ def columns(home, *arguments):
     return [(row[2], row[9], re.match("(?:FAULT (.*?)(?:  |$))?", row[10])[1] or "") for row in rows if row[9]]
 
 
-def test_info_does_not_repeat_the_columns(home):
-    """But where something is wrong it names the source: Wireshark's list of expert items shows Info alone."""
-    info = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
-    names = "yapp.sources:can0/0x210=motor:left,can1/0x210=motor:right,can0/0x200=health:left,can1/0x200=health:right"
-    done = run(home, "-o", names, "-r", tshark.ROOT / "docs/flight.pcapng", "-Y", "taurus.motor", "-T", "fields", "-e",
-               "yapp.source", "-e", "taurus.fault.active", "-e", info)
-    rows = [line.split("\t") for line in done.stdout.splitlines()]
-    faulty = [row for row in rows if row[1]]
-    assert len(faulty) == 15 and len(rows) > 200
-    assert all(row[2].startswith(f"FAULT motor_overcurrent, faulted  Motor Data {row[0]}  ESC ") for row in faulty), faulty
-    usual = [text for _, is_set, text in rows if not (is_set or "cleared" in text)]
-    assert sum(bool(re.fullmatch(r"Motor Data  ESC \d+ °C  -?[\d.]+ A torque", text)) for text in usual) > 200, usual[:9]
-    assert not any(" RPM" in text or " V" in text for _, _, text in rows)
-
-
 def test_a_column_for_each_controller(home):
     """By the options that docs/profile.md shows."""
     page = (tshark.ROOT / "docs/profile.md").read_text()
@@ -112,14 +97,6 @@ def test_a_column_for_each_controller(home):
     for name in re.findall(r'`yapp.source == "(\w+)"`', page):
         found = run(home, "-o", sources, "-r", tshark.ROOT / "docs/flight.pcapng", "-Y", f'yapp.source == "{name}" && taurus.motor')
         assert found.stdout
-
-
-@levels.without_tshark("reads the profile's files")
-def test_every_column_has_a_width():
-    text = (PROFILE / "preferences").read_text()
-    formats = [re.sub(":0:[RD]$", "", name) for name in re.findall(r'"(%[^"]+)"', text)]
-    widths = re.search(r"(?m)^column.width: (.*)", (PROFILE / "recent").read_text())[1].split(", ")
-    assert widths[::2] == formats and all(int(width) >= 50 for width in widths[1::2])
 
 
 @levels.without_tshark("reads the profile's files")

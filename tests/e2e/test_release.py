@@ -99,25 +99,6 @@ def test_the_workflow_calls_it():
 
 # make ------------------------------------------------------------------------------------------------------------------
 
-def machine(folder, *names):
-    """A PATH with these programs and no others."""
-    place = folder / "bin"
-    place.mkdir()
-    for name in ("bash", "env", "make", *names):
-        (place / name).symlink_to(shutil.which(name, path=SYSTEM))
-    (place / "id").write_text("#!/bin/bash\necho 1000\n")
-    (place / "id").chmod(0o755)
-    return str(place)
-
-
-@pytest.mark.parametrize("names", [(), ("apt-get",)])
-def test_make_without_sudo(folder, names):
-    """A bare Debian has none: what to run is said."""
-    done = run(tshark.ROOT, "make", "install", PATH=machine(folder, *names))
-    assert done.returncode == 2
-    assert "Install it as root, on Debian and Ubuntu by: apt-get install --no-install-recommends tshark" in done.stdout
-    assert "not found" not in done.stdout + done.stderr
-
 
 WORKFLOWS = sorted((tshark.ROOT / ".github/workflows").glob("*.yml"))
 

@@ -57,18 +57,6 @@ def test_columns_buttons_colours(capture):
             wait_for_words(wireshark, ["Faults", "Telegrams"], seconds=3)
 
 
-@pytest.mark.skipif(VERSION < (4, 6), reason="from 4.6 on")
-def test_plots(capture):
-    with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
-        wireshark.wait_for_window("flight.pcapng")
-        # Under Statistics, the eighth from the top, without a letter of its own.
-        wireshark.press("alt+s", *["Down"] * 7, "Return",
-                        until=lambda: any("Plots" in title for title in wireshark.windows().values()))
-        wireshark.wait_for_window("Plots")
-        wait_for_words(wireshark, ["RPM measured", "RPM commanded", "Voltage", "Current"], scale=200)
-        assert wireshark.pixels("#0072b2") > 100
-
-
 # The submenu YAPP of a packet's menu, which has what the packet has.
 ITEMS = ["Only this controller", "Faults", "Previous fault", "Next fault", "Whole message", "Name", "Copy"]
 from_4_4 = pytest.mark.skipif(VERSION < (4, 4), reason="from 4.4 on")

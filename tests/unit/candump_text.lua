@@ -5,21 +5,7 @@ local candump = require("yapp.file.candump")
 
 local M = {}
 
--- A file in memory as Wireshark gives it: reads in order, goes back to its start unless it is a pipe.
-function M.file(text, is_pipe, buffer)
-  local file = { pos = 0, largest = 0 }
-  function file:read(count)
-    local part = text:sub(self.pos + 1, self.pos + count)
-    self.pos = self.pos + #part
-    return part ~= "" and part or nil
-  end
-  function file:seek(_, offset)
-    if is_pipe and self.pos > buffer then return nil, "Illegal seek" end
-    self.pos = offset
-    return offset
-  end
-  return file
-end
+M.file = require("support").file
 
 -- The log or nil, its file, what it told.
 -- is_plain  true if the text may be left to Wireshark's own reader

@@ -4,6 +4,7 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local crc = require("yapp.wire.crc")
+local kilobytes = require("support").kilobytes
 local levels = require("levels")
 local oracle = require("can_oracle")
 local random_can = require("can_random")
@@ -294,12 +295,6 @@ function T.test_unfinished()
   lu.assertEquals(unfinished("S32 M8 S32 M8 M8 M8 E8"), "1")
   lu.assertEquals(unfinished("S32 M8 S32 M8 E8"), "1, 3")
   lu.assertEquals(unfinished("S32 S32= M8 M8 M8 E8"), "")
-end
-
-local function kilobytes()
-  collectgarbage()
-  collectgarbage()
-  return collectgarbage("count")
 end
 
 -- Bytes that are kept of each of so many rounds of frames, in the second half of them.

@@ -2,11 +2,8 @@
 -- CRC-32K against the document's worked example and the check value worked out bit by bit.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local bytes = require("support").bytes
 local crc = require("yapp.wire.crc")
-
-local function bytes(hex)
-  return (hex:gsub("%s", ""):gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end))
-end
 
 local T = {}
 

@@ -2,6 +2,7 @@
 -- Values: compressed floats against the document's table, times, flags, the Info column.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local bytes = require("support").bytes
 local catalogue = require("yapp.message.catalogue")
 local binary = require("yapp.message.binary")
 local field_kinds = require("yapp.message.field_kinds")
@@ -36,11 +37,11 @@ end
 function T.test_what_bytes_look_like()
   local taurus = catalogue.compile(dofile("taurus_fields.lua"))
   local command, health = taurus.by_id[0], taurus.by_id[0x200]
-  for bytes, expected in pairs {
+  for text, expected in pairs {
     ["\1\165\1\0\0\0\0"] = true, ["\0\90\0\255\255\0\0"] = true, -- a reserved count is defined
     ["\2\165\1\0\0\0\0"] = false, ["\1\0\1\0\0\0\0"] = false, ["\1\165\2\0\0\0\0"] = false,
   } do
-    lu.assertEquals(decode.is_plausible(command, bytes), expected)
+    lu.assertEquals(decode.is_plausible(command, text), expected)
   end
   local motor = taurus.by_id[0x210]
   lu.assertFalse(decode.is_plausible(motor, ("\0"):rep(32))) -- as other programs send them
@@ -83,8 +84,6 @@ function T.test_the_divisor_of_the_worked_examples()
   lu.assertAlmostEquals(field_kinds.value(f, 33011), 749.26, 0.005)
   field_kinds.choose_divisor(5)
 end
-
-local function bytes(hex) return (hex:gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end)) end
 
 function T.test_times()
   for _, row in ipairs { -- little endian, seconds, nanoseconds

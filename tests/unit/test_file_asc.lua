@@ -3,6 +3,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local asc = require("yapp.file.asc")
 local cpu = require("cpu")
+local file_of = require("support").file
 local text_of = require("yapp.file.text")
 
 local T = {}
@@ -81,19 +82,6 @@ function T.test_lines_that_are_not_understood()
     "0.1 " .. ("9"):rep(400) .. " 123 Rx d 0", "x 1 123 Rx d 0" } do
     lu.assertNotEquals({ LOG:parse(line) }, { nil, "known" }, line)
   end
-end
-
--- A file in memory, read as Wireshark's.
-local function file_of(text)
-  local at = 1
-  return {
-    read = function(_, count)
-      local part = text:sub(at, at + count - 1)
-      at = at + #part
-      return part ~= "" and part or nil
-    end,
-    seek = function(_, _, offset) at = offset + 1 end,
-  }
 end
 
 -- The frames, and what was said of lines.

@@ -4,14 +4,11 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local candump = require("yapp.file.candump")
 local cpu = require("cpu")
+local bytes = require("support").bytes
 local levels = require("levels")
 local text = require("yapp.file.text")
 
 local LOG = text.new("", true, candump.FORMAT, {})
-
-local function bytes(hex)
-  return (hex:gsub("%s", ""):gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end))
-end
 
 local T = {}
 

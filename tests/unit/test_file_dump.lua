@@ -5,26 +5,10 @@ local lu = require("luaunit")
 local dump = require("yapp.file.dump")
 local framer = require("yapp.serial.framer")
 local levels = require("levels")
+local file_of = require("support").file
 local stream_generator = require("stream_generator")
 
 local frame = stream_generator.frame
-
--- What the API's file objects do.
-local function file_of(text)
-  local at = 1
-  return {
-    read = function(_, count)
-      if at > #text then return nil end
-      local piece = text:sub(at, at + count - 1)
-      at = at + #piece
-      return piece
-    end,
-    seek = function(_, _, offset)
-      at = offset + 1
-      return offset
-    end,
-  }
-end
 
 local function new_framer() return framer.new(function() return nil end, true) end
 

@@ -4,6 +4,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local history = require("yapp.message.history")
+local kilobytes = require("support").kilobytes
 local levels = require("levels")
 local little_endian = require("stream_generator").little_endian
 local stamps_of = require("yapp.capture.stamps")
@@ -281,11 +282,6 @@ function T.test_nothing_is_kept_of_messages_that_change_nothing()
       m.raws[MOTOR.time.index] = little_endian(i * 1e8, 8)
       h:add(m, true)
     end
-  end
-  local function kilobytes()
-    collectgarbage()
-    collectgarbage()
-    return collectgarbage("count")
   end
   note(1, 10000) -- Lua's own tables of strings grow too, at times
   local before = kilobytes()

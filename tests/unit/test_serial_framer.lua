@@ -34,7 +34,7 @@ local T = {}
 function T.test_document_example()
   local hex = "5950000010020000200000 00FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000000" ..
     "0E38CD23CE04E000005FFBBBE6FC7"
-  local bytes = hex:gsub("%s", ""):gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end)
+  local bytes = require("support").bytes(hex)
   local findings = new():add(bytes)
   lu.assertEquals(findings, { { status = "good", from = 0, to = 48, bytes = bytes } })
 end

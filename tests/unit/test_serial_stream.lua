@@ -5,6 +5,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local framer = require("yapp.serial.framer")
 local generator = require("stream_generator")
+local kilobytes = require("support").kilobytes
 local levels = require("levels")
 local streams = require("yapp.serial.stream")
 
@@ -338,12 +339,6 @@ function T.test_random_segments()
 end
 
 -- Work and memory --------------------------------------------------------------------------------------------------
-
-local function kilobytes()
-  collectgarbage()
-  collectgarbage()
-  return collectgarbage("count")
-end
 
 -- Nor do packets with ends and beginnings of frames, when the stream has gone on: 40 frames of 48 bytes, 64 at a time.
 function T.test_parts_of_frames_cost_little()

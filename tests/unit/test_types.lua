@@ -2,14 +2,13 @@
 -- Every type that a row of the catalogue may have, at its limits: the raw value, the value, the row of CSV.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local bytes = require("support").bytes
 local catalogue = require("yapp.message.catalogue")
 local inventory = require("yapp.stat.inventory")
 local field_kinds = require("yapp.message.field_kinds")
 local text_of = require("yapp.message.text")
 
 local T = {}
-
-local function bytes(hex) return (hex:gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end)) end
 
 -- A message with these rows, as large as they say.
 local function message(size, ...)
