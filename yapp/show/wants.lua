@@ -29,6 +29,7 @@ function M.new(messages, fields)
     states = states, -- fields that the history's state has
     first_pass = nil, -- the answer of tshark's first pass
     is_only_pass = false, -- true if it is known that there is one pass
+    has_statistic = false, -- true if a statistic of ours runs, whose filters make a tree
   }, Wants)
 end
 
@@ -74,6 +75,7 @@ local function ask_first_pass(self, tree, pinfo)
   local has_columns = tostring(pinfo.cols.info) ~= NO_COLUMN
   local wants = tree.hidden and ask_tree(tree) or {}
   wants.columns = has_columns
+  wants.names = wants.names and not self.has_statistic -- of each packet: 10 % of csv
   wants.shows = has_columns or wants.tree or wants.names
   wants.is_only_pass = self.is_only_pass or is_only_pass(tree, has_columns)
   if wants.state then

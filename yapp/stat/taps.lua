@@ -170,6 +170,7 @@ local function open(self)
   self.reading:listen(self.current)
   self.frames:begin_count()
   self.watch()
+  self.wants.has_statistic = true
   tap_packets(self)
   tap_bus_errors(self)
   tap_refused(self)
