@@ -49,7 +49,7 @@ local function payload(volts, flags, mode)
 end
 
 local LEFT = { bus_key = 1, bus = "can0", name = "left", id = 0x210, type = MOTOR }
-local RIGHT = { bus_key = 2, bus = 'can"1', id = 0x210, type = MOTOR }
+local RIGHT = { bus_key = 2, bus = 'can1"', id = 0x210, type = MOTOR }
 local HEALTHY = { bus_key = 1, bus = "can0", id = 0x200, type = HEALTH } -- it has no faults
 local ODD = { bus_key = 1, bus = "can0", id = 0x300 }
 
@@ -165,11 +165,11 @@ YAPP summary: 2 sources in 2.000 s
 
 bus    ID     source  message     count  rate/Hz  gap/s min      mean       max  in frame  bad CRC  incomplete  late
 can0   0x210  left    Motor Data      2     4.00   0.250000  0.250000  0.250000         3        0           0     0
-can"1  0x210          Motor Data      1                                                          0           0     0
+can1"  0x210          Motor Data      1                                                          0           0     0
 
 bus    ID     source  message     field  unit  min  mean  max  count
 can0   0x210  left    Motor Data  volts  V      10    10   10      2
-can"1  0x210          Motor Data  volts  V      10    10   10      1
+can1"  0x210          Motor Data  volts  V      10    10   10      1
 ]])
   local found = lines(printed)
   lu.assertEquals(#found, #expected)
@@ -189,7 +189,7 @@ function T.test_what_rests_on_what_came_before()
   end
 end
 
--- By bus in the order in which these came, then by ID.  Of the longest gaps the first one is told.
+-- By bus, then by ID.  Of the longest gaps the first one is told.
 function T.test_the_order_of_sources()
   local records, ids = {}, {}
   for i, one in ipairs { { 1, 0x300 }, { 2, 0x100 }, { 1, 0x200 }, { 2, 0x50 }, { 1, 0x250 } } do
@@ -287,7 +287,7 @@ end
 
 function T.test_csv_is_printed()
   lu.assertEquals(run({ "csv,-,motor" }, ROWS), "time,frame,bus,source,id,seq," .. COLUMNS .. "\n" ..
-    "1700000000.250000005,1,can0,left,528,0," .. CELLS .. "\n" .. '1700000001.000000005,3,"can""1",,528,7,' .. CELLS .. "\n")
+    "1700000000.250000005,1,can0,left,528,0," .. CELLS .. "\n" .. '1700000001.000000005,3,"can1""",,528,7,' .. CELLS .. "\n")
   local copy = record(3, 0.6, { kind = "copies", values = { of = 1 } })
   local cut = record(4, 0.7, { kind = "incomplete", values = { what = "incomplete" } })
   lu.assertEquals(run({ "csv,-,motor,all" }, { ROWS[2], copy, cut }), "time,frame,bus,source,id,seq,crc_good," .. COLUMNS .. "\n" ..
@@ -716,14 +716,14 @@ function T.test_spread()
   lu.assertEquals(verdicts("motor.volts.spread=2", records)[1], "motor.volts.spread=2 null false 188 5")
   lu.assertEquals(lines((run({ "compare,json" }, records)))[1], '{"message":"motor","field":"volts","unit":"V",' ..
     '"spread":188,"time":1700000000.350000005,"frame":5,"sources":[{"bus":"can0","id":528,"source":"left","count":3,' ..
-    '"min":10,"mean":73.666666666666671,"max":200},{"bus":"can\\"1","id":528,"source":null,"count":2,"min":12,' ..
+    '"min":10,"mean":73.666666666666671,"max":200},{"bus":"can1\\"","id":528,"source":null,"count":2,"min":12,' ..
     '"mean":105.5,"max":199}]}')
   lu.assertEquals(run({ "compare" }, records), [[
 YAPP compare: 2 sources of Motor Data
 
 field  unit  source       min     mean  max  spread  since start/s  frame
 volts  V     left          10  73.6667  200     188       0.350000      5
-             can"1 0x210   12    105.5  199
+             can1" 0x210   12    105.5  199
 ]])
   lu.assertEquals(run({ "compare" }, { record(1, 0) }), "YAPP compare: no message has several sources\n")
 end
@@ -869,7 +869,7 @@ function T.test_events_of_a_window_are_merged()
     if line:find("^ *%d") then list[#list + 1] = line:gsub(" +", " ") end
   end
   lu.assertEquals(list, { "0.010 2 uart 12 bytes of no frame, 2 times up to 0.310 s",
-    "0.100 3 can0 0x210 left bad CRC, 2 times up to 0.200 s", '0.300 5 can"1 0x210 bad CRC' })
+    "0.100 3 can0 0x210 left bad CRC, 2 times up to 0.200 s", '0.300 5 can1" 0x210 bad CRC' })
   lu.assertEquals(#lines((run({ "events,json" }, records))), 5)
 end
 

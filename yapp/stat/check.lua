@@ -181,11 +181,13 @@ end
 
 -- Write it; return an error, nil for none.
 local function write_report(path, rows)
+  local file, problem = output.create(path)
+  if not file then return problem end
   local cases = {}
   for i, row in ipairs(rows) do cases[i] = case_of(row) end
   local text = table.concat(cases)
-  text = REPORT:format(#rows, count(rows, FAILED), count(rows, UNJUDGED), text)
-  return output.save(path, text)
+  file:write(REPORT:format(#rows, count(rows, FAILED), count(rows, UNJUDGED), text))
+  return output.close_files { file }
 end
 
 -- The end ---------------------------------------------------------------------------------------

@@ -96,12 +96,10 @@ end
 --- Add the row of an event, see stat.answer.
 function Csv:add_event(event)
   local all, source, is_good = self.options.all, event.source, event.kind == "message"
-  local is_wanted = event.raws and (is_good or all and event.kind == "crc")
-  local to = is_wanted and self.tables[source.type]
+  local to = event.raws and (is_good or all and event.kind == "crc") and self.tables[source.type]
   if not to then return end
-  local time = self.context.dates:text(event.time)
+  local time, parts = self.context.dates:text(event.time), self.parts[source]
   local crc_good = all and (is_good and "1," or "0,") or ""
-  local parts = self.parts[source]
   to.file:write(("%s,%d,%s,%d,%s%s\n"):format(
     time, event.frame, parts.cells, event.seq, crc_good, parts.write(event.raws)))
   to.rows = to.rows + 1

@@ -105,20 +105,19 @@ end
 function Groups:new_values(message_type)
   local list = {}
   for _, field in ipairs(joined(message_type.fields, message_type.generated)) do
-    local spread = self.compares and self.spreads[field]
-    local values = {
-      field = field,
-      read = field_kinds.reader[field],
-      count = 0, -- of numbers, whose least, sum and largest follow
-      min = INFINITE,
-      sum = 0.0,
-      max = -INFINITE,
-      spread = spread, -- of all sources, where they are compared
-      latest = NO_NUMBER, -- latest_at = when it came
-    }
     if field_kinds.is_number(field) then
+      local values = {
+        field = field,
+        read = field_kinds.reader[field],
+        count = 0, -- of numbers, whose least, sum and largest follow
+        min = INFINITE,
+        sum = 0.0,
+        max = -INFINITE,
+        spread = self.compares and self.spreads[field], -- of all sources
+        latest = NO_NUMBER, -- latest_at = when it came
+      }
       list[#list + 1] = values
-      if spread then table.insert(spread, values) end
+      if values.spread then table.insert(values.spread, values) end
     end
   end
   return list
@@ -212,19 +211,12 @@ function M.row(group, values)
   return row
 end
 
---- Return all groups by bus in the order in which buses showed, then by ID.  A stream itself has no
--- ID and comes first.
+--- Return all groups by bus, then by ID.  A stream itself has no ID and comes first.
 -- by_controller  true if a controller's are together: by the last digit of the ID
 function Groups:sort(by_controller)
-  local orders = {} -- [bus] = index of its first group
-  for i, group in ipairs(self.list) do
-    local bus = group.source.bus_key or false
-    orders[bus] = orders[bus] or i
-  end
   output.sort(self.list, function(group)
-    local source = group.source
-    local id = source.id or -16
-    return orders[source.bus_key or false], by_controller and id % 16 or 0, id
+    local bus, id = group.source.bus, group.source.id or -16
+    return output.sortable(bus or ""), by_controller and id % 16 or 0, id
   end)
   return self.list
 end

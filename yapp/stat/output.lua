@@ -356,20 +356,11 @@ function M.close_files(list, problem)
       os.remove(aside)
     elseif path ~= aside then
       os.remove(path) -- on Windows a rename does not replace a file
-      problem = select(2, os.rename(aside, path))
+      local _, why = os.rename(aside, path)
+      problem = why and path .. ": " .. why
     end
   end
   return problem
-end
-
---- Write a file that holds a text.
--- advice   as for M.create
--- returns  an error, nil for none
-function M.save(path, text, advice)
-  local file, problem = M.create(path, advice)
-  if not file then return problem end
-  file:write(text)
-  return M.close_files { file }
 end
 
 return M

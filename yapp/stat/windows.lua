@@ -2,7 +2,6 @@
 -- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, the decoding
 -- of unknown IDs, and help.  Wireshark's API.
 
-local joined = require "yapp.base.joined"
 local options_of = require "yapp.stat.options"
 local preferences = require "yapp.host.preferences"
 local rules_of = require "yapp.stat.rules"
@@ -148,19 +147,17 @@ end
 -- one.
 local help
 
--- Return lines of two columns: the values of a key, and the help.
-local function lines_of(rows, key, width)
-  local lines = {}
-  for i, row in ipairs(rows) do
-    lines[i] = row[key] .. (" "):rep(width - #row[key]) .. row.help .. "\n"
-  end
-  return table.concat(lines)
+-- Return a line for each row: the value of a key, and the help.
+local function lines_of(rows, key)
+  local text = ""
+  for _, row in ipairs(rows) do text = text .. row[key] .. ": " .. row.help .. "\n" end
+  return text
 end
 
 local function open_help()
-  local rules = joined(rules_of.LIST, rules_of.SUFFIXES)
   help = TextWindow.new("YAPP Help")
-  help:set(HELP:format(lines_of(options_of.MENUS, "title", 15), lines_of(rules, "text", 25)))
+  help:set(HELP:format(lines_of(options_of.MENUS, "title"), lines_of(rules_of.LIST, "text") ..
+    lines_of(rules_of.SUFFIXES, "text")))
 end
 
 --- Make the menus.
