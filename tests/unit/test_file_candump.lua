@@ -154,6 +154,7 @@ function T.test_the_bus_of_a_plain_log()
   for _, more in ipairs { "", "11" } do -- wherever in a line the pieces end that are read
     local line = HEAD:gsub("0 123#", "0 00000823#" .. more)
     for _, count in ipairs { 5000, 100000 } do lu.assertEquals(plain_bus(line:rep(count)), "can0") end
+    lu.assertNotNil(candump.open(text_file(line .. line:sub(1, -2) .. line))) -- a line lost its end
   end
   lu.assertEquals(plain_bus((HEAD:gsub("can0", "v\255n"))), "v\\xFFn")
   lu.assertNil(plain_bus("some text\n"))

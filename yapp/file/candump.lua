@@ -173,7 +173,8 @@ end
 -- with it.  It does not tell two buses apart before 4.6; on 4.6 an empty line ends the file, and
 -- 00000000 is a standard id.
 local function plain_eraser(bus)
-  local pattern = "%(%d+%.%d%d%d%d%d%d%) " .. bus:gsub("%W", "%%%0") .. " (%x+)#()%x*()\r?\n"
+  local pattern = "%f[^\n\0]%(%d+%.%d%d%d%d%d%d%) " .. bus:gsub("%W", "%%%0") ..
+    " (%x+)#()%x*()\r?\n"
   local function erase(digits, from, to)
     local id, count = IDS[digits], to - from
     local is_plain = id and (id < 0x800 or id >= text.EXTENDED + 0x800)
