@@ -7,7 +7,6 @@ isotp.pcap    the same bytes as ISO-TP, also five frames a message
 udp.pcap      plain Ethernet and UDP, as many packets as yapp.pcap has frames
 uart.pcap     the same messages as a serial stream, in packets of 64 bytes
 one.pcap      one frame of YAPP
-one_bus.pcapng    the same messages on one interface, one after the other
 two_buses.pcapng  on two, their frames in turns
 """
 import itertools
@@ -119,7 +118,6 @@ WRITERS = {
     "udp.pcap": lambda path, count: write_pcap(path, ETHERNET, datagrams(count)),
     "uart.pcap": lambda path, count: write_pcap(path, EXPORTED_PDU, uart_packets(count)),
     "one.pcap": lambda path, count: write_pcap(path, SOCKETCAN, list(can_packets(1, yapp_frames))[:1]),
-    "one_bus.pcapng": lambda path, count: write_pcapng(path, ["can0"], ((0, one) for one in can_packets(count, yapp_frames))),
     "two_buses.pcapng": lambda path, count: write_pcapng(path, ["can0", "can1"], in_turns(can_packets(count, yapp_frames))),
     "yapp.log": write_log,
 }

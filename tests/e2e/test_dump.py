@@ -218,33 +218,6 @@ def times(path, *arguments):
     return [row.get("frame.time_epoch", [""])[0] for row in rows(path, *arguments)]
 
 
-ALTERNATING = [clock + turn / 10 for turn in range(50) for clock in (5, 800)]
-REBOOTED = [turn / 10 for turn in (*range(500, 550), *range(1, 50))]
-
-
-CLOCKS = {"two controllers": (ALTERNATING, {"shared", "reboot", "silence"}, 21), "a reboot": (REBOOTED, {"reboot"}, 0)}
-
-
-@levels.each_once
-@pytest.mark.parametrize("passes", [[], ["-2"]], ids=["one pass", "two"])
-@pytest.mark.parametrize("name", CLOCKS)
-def test_clocks(name, passes, folder):
-    """Times are the controllers' own: two with one ID are found within a few steps.  A step back of one is no step of the
-    capture's clock."""
-    clocks, kinds, code = CLOCKS[name]
-    path = dump(folder, b"".join(frame(0x210, bytes(22) + round(clock * 1e9).to_bytes(8, "little") + bytes(2)) for clock in clocks))
-
-    def z(what, code):
-        done = tshark.run(*passes, "-q", "-r", path, "-z", f"yapp,{what}", check=False)
-        assert done.returncode == code, what
-        return done.stdout
-
-    found = [json.loads(line)["kind"] for line in z("events,json", code).splitlines()]
-    assert set(found) == kinds and len(found) <= 5 and found.count("shared") <= 1
-    assert ("two controllers appear to send 0x210: from frame " in z("faults", code)) == ("shared" in kinds)
-    assert z("summary", code) and z("check", 20)
-
-
 def test_ids_of_the_preferences(folder):
     """The time is that of a message whose ID is no default."""
     data = message(0x210, 9, random.Random(SEED))

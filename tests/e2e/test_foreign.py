@@ -8,7 +8,6 @@ import os
 import random
 import re
 import struct
-import subprocess
 
 import pytest
 
@@ -157,42 +156,3 @@ def test_ethernet(folder):
     path.write_bytes(capture_file.pcap(1, [(1_700_000_000_000_000 + number * 1000, packet) for number, packet in enumerate(packets, 1)]))
     for passes in levels.size([["-2"]], [["-2"], []]):
         assert differing(path, *passes) == set()
-
-
-# Floods ------------------------------------------------------------------------------------------------------------
-
-FLOOD = levels.size(10_000, 200_000)
-BYTES_A_FRAME = 3500  # a generous bound: what a frame of a broken message may cost
-BYTES_BESIDES = 100_000_000  # and what any file may, with all IDs registered
-GOOD = can_generator.Sent(0x123, 0, 0, bytes(range(40)))
-
-
-def distinct_starts():
-    for number in range(FLOOD):
-        yield Frame(number % 2048 << 18 | 1 << 14 | number // 2048, struct.pack("<IHH", number, 65535, 0)
-                    if can_generator.kind_of(number % 2048) is None else bytes(8))
-
-
-def run_measured(path, output, *arguments, plugin=True):
-    """Runs tshark; returns the most memory that it had, in bytes."""
-    environment = {**os.environ, "HOME": str(tshark.home(plugin)), "LC_ALL": "C.UTF-8"}
-    load = tshark.load() if plugin else []
-    with open(output, "w", encoding="utf-8") as file:
-        process = subprocess.Popen(["tshark", *load, *arguments, "-r", path], stdout=file, stderr=subprocess.DEVNULL,
-                                   env=environment, **tshark._user())
-        _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    assert process.returncode == 0
-    return usage.ru_maxrss * 1024
-
-
-def test_flood(folder):
-    """Memory stays in proportion to the file, and the message behind the flood is decoded."""
-    path, output = folder / "flood.pcap", folder / "shown"
-    frames = [*distinct_starts(), *GOOD.frames()]
-    can_generator.write(path, frames, "plain")
-    without = run_measured(path, output, "-Y", "udp", plugin=False)
-    growth = run_measured(path, output, "-Y", "yapp.crc.status == 1", "-T", "fields", "-e", "frame.number", "-e",
-                          "yapp.payload") - without
-    assert output.read_text() == f"{len(frames)}\t{GOOD.payload.hex()}\n"
-    assert growth < BYTES_A_FRAME * len(frames) + BYTES_BESIDES

@@ -18,7 +18,6 @@ import struct
 import subprocess
 import sys
 import termios
-import textwrap
 import threading
 import time
 import tty
@@ -296,20 +295,28 @@ def test_what_a_line_is_set_to(extcap, monkeypatch, port, parity, stopbits, flag
     assert control == EIGHT | flags and characters[termios.VMIN] == 1 and characters[termios.VTIME] == 0
 
 
+# What python-can receives, and its SocketCAN record.
+USUAL = {"arbitration_id": 0x123, "is_extended_id": True, "dlc": 1, "data": b"A", "is_remote_frame": False, "is_error_frame": False,
+         "is_fd": False, "bitrate_switch": False, "error_state_indicator": False}
+RECORDS = [({}, "80000123 01 000000 41"), ({"is_extended_id": False, "dlc": 2, "data": b"12"}, "00000123 02 000000 3132"),
+           ({"is_remote_frame": True, "dlc": 4, "data": b""}, "C0000123 04 000000"),
+           ({"is_fd": True, "bitrate_switch": True, "error_state_indicator": True, "dlc": 64, "data": bytes(64)}, "80000123 40 070000" + "00" * 64),
+           ({"is_error_frame": True, "arbitration_id": 8, "dlc": 8, "data": bytes(8)}, "A0000008 08 000000" + "00" * 8)]
+
+
 @pytest.mark.parametrize("fd, more", [("false", {}), ("true", {"fd": True, "data_bitrate": 2_000_000})])
 def test_what_an_adapter_is_asked_for(extcap, monkeypatch, fd, more):
     """And the time of a frame: the adapter's, if it counts from 1970.  At the end it is given back."""
-    asked, times = [], [1_700_000_000.25, 12.5]
-    usual = dict.fromkeys(("is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator"), False)
-    frame = types.SimpleNamespace(arbitration_id=0x123, is_extended_id=True, dlc=1, data=b"A", **usual)
+    asked, times = [], [1_700_000_000.25, *[12.5] * len(RECORDS)]
+    sent = [types.SimpleNamespace(**USUAL | values) for values, _ in RECORDS]
 
     class Bus:
         def __init__(self, **arguments):
             asked.append(arguments)
 
         def recv(self, _):
-            frame.timestamp = times.pop(0)
-            return frame
+            sent[0].timestamp = times.pop(0)
+            return sent.pop(0)
 
         def shutdown(self):
             asked.append("shutdown")
@@ -318,9 +325,9 @@ def test_what_an_adapter_is_asked_for(extcap, monkeypatch, fd, more):
     options = settings(extcap, "yapp-can", adapter="pcan", channel="PCAN_USBBUS1", bitrate="250000", fd=fd, **{"data-bitrate": "2000000"})
     frames = extcap.can_frames(options)
     assert next(frames) is None and asked == [{"interface": "pcan", "channel": "PCAN_USBBUS1", "bitrate": 250_000, **more}]
-    at, data = next(frames)
-    assert abs(at - 1_700_000_000_250_000_000) < 1000 and data == bytes.fromhex("80000123 01 000000") + b"A"
-    assert abs(next(frames)[0] - time.time_ns()) < 60e9
+    found = [next(frames) for _ in RECORDS]
+    assert abs(found[0][0] - 1_700_000_000_250_000_000) < 1000 and all(abs(at - time.time_ns()) < 60e9 for at, _ in found[1:])
+    assert [data for _, data in found] == [bytes.fromhex(text) for _, text in RECORDS]
     options.stop.set()
     assert list(frames) == [] and asked[1:] == ["shutdown"]
 
@@ -580,67 +587,6 @@ def test_commands_of_the_document(home, folder, port, second, command):
 
 def has(module):
     return subprocess.run([PYTHON, "-c", f"import {module}"], capture_output=True, check=False).returncode == 0
-
-
-VIRTUAL = """
-    import sys, threading, time
-    import can
-    sys.path.insert(0, {folder!r})
-    import yapp_extcap
-
-    def send():
-        bus = can.Bus(interface="virtual", channel="bench")
-        while not any(thread.name.endswith("(read)") for thread in threading.enumerate()):
-            time.sleep(0.01)
-        motor = bytes.fromhex("{motor}")
-        bus.send(can.Message(arbitration_id=0x210 << 18 | 1 << 14, data=bytes.fromhex("BBBE6FC720000000")))
-        for part, ctrl in ((motor[:8], 2), (motor[8:16], 2), (motor[16:24], 2), (motor[24:], 3)):
-            bus.send(can.Message(arbitration_id=0x210 << 18 | ctrl << 14, data=part))
-        bus.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=b"12"))
-        bus.send(can.Message(arbitration_id=0x210 << 18, is_remote_frame=True, dlc=4))
-        bus.send(can.Message(arbitration_id=0x100 << 18, is_fd=True, bitrate_switch=True, error_state_indicator=True,
-                             data=bytes(64)))
-        bus.send(can.Message(arbitration_id=8, is_error_frame=True, data=bytes(8)))
-        bus.shutdown()
-
-    if "--capture" in sys.argv:
-        threading.Thread(target=send, daemon=True).start()
-    code = yapp_extcap.main()
-    sys.stdout.flush()
-    import os
-    os._exit(code)
-"""
-
-
-@pytest.fixture
-def can_extcap(folder):
-    """An extcap in whose process somebody sends on python-can's virtual bus, which has no other processes on it."""
-    if not has("can"):
-        pytest.skip("no python-can")
-    shutil.copy(EXTCAP, folder / "yapp_extcap.py")
-    program = folder / "can_extcap.py"
-    text = textwrap.dedent(VIRTUAL).format(folder=str(folder), motor=FRAME[12:44].hex())
-    program.write_text(f"#!{PYTHON}\n" + text)
-    program.chmod(0o755)
-    (folder / "yapp_extcap.py").chmod(0o644)
-    return program
-
-
-CAN_ARGUMENTS = ["--adapter", "virtual", "--channel", "bench", "--fd", "true"]
-
-
-def test_can_frames(folder, can_extcap):
-    extcap = Extcap(folder, *CAN_ARGUMENTS, interface="yapp-can", program=can_extcap)
-    wait_for(lambda: len(Pcapng(extcap.data).packets) == 9)
-    capture, errors = extcap.end()
-    assert errors == "" and capture.interfaces == [(227, "virtual bench")]
-    data = [packet[2] for packet in capture.packets]
-    assert data[0] == bytes.fromhex("88404000 08 000000 BBBE6FC720000000")
-    assert data[5] == bytes.fromhex("00000123 02 000000") + b"12"
-    assert data[6] == bytes.fromhex("C8400000 04 000000")
-    assert data[7] == bytes.fromhex("84000000 40 070000") + bytes(64)
-    assert data[8][:4] == bytes.fromhex("A0000008")
-    assert all(abs(packet[1] - time.time()) < 60 for packet in capture.packets)
 
 
 @pytest.mark.skipif(not has("can"), reason="no python-can")

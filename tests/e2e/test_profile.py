@@ -145,19 +145,4 @@ def test_colours(home, folder):
 
 # Colours ---------------------------------------------------------------------------------------------------------------
 
-def linear(colour):
-    return [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in colour]
-
-
-def luminance(colour):
-    return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear(colour)))
-
-
-@levels.without_tshark("reads the profile's files")
-def test_text_is_readable():
-    """WCAG's contrast, 4.5 for text; what is coloured is coloured alike in dark mode."""
-    for name, (_, back, front) in colour_rules().items():
-        low, high = sorted((luminance(back), luminance(front)))
-        assert (high + 0.05) / (low + 0.05) >= 4.5, name
-
 

@@ -52,17 +52,6 @@ def test_fields_that_are_named_change_nothing(passes, named, folder):
     assert [at for at, row in enumerate(rows) if row[1] == "1"] == [8, 13]
 
 
-@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
-def test_messages_of_an_unknown_id_that_number_themselves(passes, folder):
-    """Found where the user says that all is YAPP; by themselves only once one of that ID had no Seq."""
-    numbered, plain = Sent(0x123, 0, 9, MOTOR).frames(), Sent(0x123, 0, 0, MOTOR).frames()
-    path = written(folder, numbered + plain + numbered)
-    ids = [row[0] for row in shown(path, "yapp.id", passes=passes)]
-    assert ids == [""] * 5 + ["0x00000123"] * 10
-    rows = shown(path, "yapp.id", "yapp.crc.status", passes=(*passes, "-o", "yapp.all_extended:TRUE"))
-    assert [row[0] for row in rows] == ["0x00000123"] * 15 and [row[1] for row in rows].count("1") == 3
-
-
 @pytest.mark.parametrize("passes", ONE_PASS, ids=" ".join)
 def test_remote_frames_in_a_message_of_zeros(passes, folder):
     """All of it may be remote frames; only the flag tells."""
@@ -71,14 +60,6 @@ def test_remote_frames_in_a_message_of_zeros(passes, folder):
     rows = shown(written(folder, frames), "yapp.id", "yapp.crc.status", "yapp.fragment", passes=passes, named=tshark.tells_remote())
     assert [at for at, row in enumerate(rows, 1) if not row[0]] == [3, 6]
     assert rows[6][1:] == ["1", "1,2,4,5,7"]
-
-
-@pytest.mark.parametrize("passes", [(), ("-2",)], ids=" ".join)
-def test_can_fd_has_no_remote_frames(passes, folder):
-    """Whatever its id says: the packet list, where only a text tells, and a tree agree."""
-    path = written(folder, [Frame(0, bytes(7), fd=True, kind="remote")])
-    assert "Command" in tshark.run(*passes, "-r", path).stdout
-    assert shown(path, "yapp.id", passes=passes) == [["0x00000000"]]
 
 
 def stray_end(buses):
@@ -111,13 +92,6 @@ def test_buses_never_mix(kind, passes, folder):
     rows = shown(path, "yapp.fragment.orphan", "yapp.crc.status", passes=passes, named=["sll.ifindex", "frame.interface_id"])
     assert len(rows) == before + 5 or passes[-2:] == ("-R", "frame")
     assert bool(rows[-1][0]) and rows[-1][1] == ""
-
-
-@pytest.mark.parametrize("passes", [(), ("-2",)])
-def test_decode_as_leaves_others_alone_from_the_first_frame_on(passes, folder):
-    path = written(folder, [Frame(0x123, bytes(8), kind="standard"), *Sent(0x210, 0, 0, MOTOR).frames()])
-    lines = tshark.run("-r", path, *passes, "-d", "can.subdissector,yapp_all").stdout.splitlines()
-    assert "YAPP" not in lines[0] and all("YAPP" in line for line in lines[1:])
 
 
 def test_decode_as_in_two_passes_loses_the_first_message_and_says_so(folder):

@@ -388,28 +388,6 @@ def test_connections_in_other_networks(folder):
                 {1: ["0"], 3: ["1", "2"], 5: ["3"]}, name
 
 
-@levels.by_version
-def test_cut_segments_of_others(folder):
-    """Dissectors of other protocols throw past Lua where the capture cut their bytes, a hundred times."""
-    others = {53: struct.pack(">7H", 200, 1, 0x100, 1, 0, 0, 0) + b"\7example\3com\0" + bytes(180),
-              80: b"GET / HTTP/1.1\r\nHost: x\r\nContent-Length: 500\r\n\r\n" + bytes(500),
-              443: bytes([22, 3, 1, 1, 0, 1, 0, 0, 252, 3, 3]) + bytes(250)}
-    packets = []
-    for number in range(40):
-        packets.append(Packet(frame(0x210, bytes(32), seq=number), Origin(ETHERNET, 0, 0)))
-        packets[-1].sequence, packets[-1].ports = 1 + 48 * number, (49700, 49800)
-        for port, data in others.items():
-            packets.append(Packet(data, Origin(ETHERNET, 0, 0), captured=16))
-            packets[-1].sequence, packets[-1].ports = 1, (40000 + number, port)
-    for number, packet in enumerate(packets):
-        packet.time = stream_captures.EPOCH + number * 1000
-    stream_captures.Capture("", packets, lambda packet: segment(packet, packet.ports, NETWORKS["IPv6"]), []).write(folder / "cut.pcapng")
-    for passes in ([], ["-2"]):
-        found = shown(folder / "cut.pcapng", *passes)
-        assert [row["yapp.seq"] for row in found.values() if "yapp.seq" in row] == [[str(number)] for number in range(40)]
-        assert not any("_ws.lua.error" in row for row in found.values())
-
-
 def test_yapp_behind_64_kb_of_other_datagrams(folder):
     """A packet list needs the preference, a statistic searches all of the file."""
     packets = [Packet(data, Origin(ETHERNET, 0, 2 * number)) for number, data in enumerate([bytes(1000)] * 70 + [MOTOR])]

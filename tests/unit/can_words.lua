@@ -9,10 +9,8 @@
 -- number, marks.
 --   S32    a Start that says 32 bytes, with the right CRC for the sender's next payload
 --   M8 E3  the next 8, or 3, bytes of that payload          L7   a single frame of 7 bytes
--- marks: ! wrong CRC, r reserved bytes 5 (the CRC covers them), /7 only 7 bytes long (or longer,
--- with zeros),
---        ~4 only 4 bytes captured, ? bytes that nobody sent, p12 zeros up to 12 bytes, = the frame
---        before it once more
+-- marks: /7 only 7 bytes long (or longer, with zeros), ~4 only 4 bytes captured, p12 zeros up to 12
+--        bytes, = of a Start: the one before it once more
 -- Each sender has payloads of its own; all have the same key unless the test gives ids.
 local can_id = require "yapp.wire.can_id"
 local crc = require "yapp.wire.crc"
@@ -116,13 +114,9 @@ local function data_of(sender, name, id, kind, number, marks)
   if kind == "S" and not marks:find("=", 1, true) then
     sender.count = sender.count + 1
     sender.payload, sender.at = payload_of(name .. "x", sender.count, number), 1
-    sender.start = M.start(id[1], sender.payload, { ctl = id[2], seq = id[3],
-      wrong = marks:find("!", 1, true) and true,
-      reserved = marks:find("r", 1, true) and 5 or nil })
+    sender.start = M.start(id[1], sender.payload, { ctl = id[2], seq = id[3] })
   end
   if kind == "S" then return sender.start end
-  if marks:find("?", 1, true) then return ("?"):rep(number) end
-  if marks:find("=", 1, true) then return sender.payload:sub(sender.at - number, sender.at - 1) end
   local data = sender.payload:sub(sender.at, sender.at + number - 1)
   sender.at = sender.at + number
   return data .. ("x"):rep(number - #data)

@@ -267,23 +267,6 @@ function T.test_whether_stamps_differ()
   lu.assertEquals({ do_stamps_differ(""), do_stamps_differ("(1.0) can0 123#11\n") }, { false, false })
 end
 
--- Which blocks have a frame number is that of Wireshark 4.0, 4.4 and 4.6.
-function T.test_blocks_of_all_kinds()
-  local rows = {
-    { simple_packet(("x"):rep(9), be), "2 1 1" }, -- of the section's first interface
-  }
-  for _, kind in ipairs { 9, 0x0BAD, 0x40000BAD } do
-    rows[#rows + 1] = { block(kind, ("\0"):rep(60), be), "2 - 1" }
-  end
-  for _, kind in ipairs { 4, 5, 7, 8, 10, 0x101, 0x201, 0x205, 0x0A0D0A00, 0x80000BAD, 0x80000000 } do
-    rows[#rows + 1] = { block(kind, ("\0"):rep(60), be), "2 1" }
-  end
-  for i, row in ipairs(rows) do
-    local head = section(be) .. interface(CAN, be) .. interface(CAN, be) .. packet(1, "x", be)
-    lu.assertEquals(buses(read(head .. row[1] .. packet(0, "x", be))), row[2], i)
-  end
-end
-
 -- Wireshark rounds up a block's length, as some programs leave out the padding.
 function T.test_a_length_without_the_padding()
   local whole = packet(1, "xy", le)

@@ -179,16 +179,6 @@ function T.test_a_revisit()
   lu.assertNil(visit(capture, { words.can_id(0x700, 2, 0, 1), "other" }, { number = 50, visited = true }))
 end
 
-function T.test_what_the_history_says()
-  local capture = new_capture()
-  local found = {}
-  for i, seq in ipairs { 1, 2, 5 } do
-    found[i] = add_all(capture, frames_of(HEALTH, seq, payload_of(HEALTH, seq)), { time = seq / 2 })
-  end
-  lu.assertEquals(found[2], "last good Health")
-  lu.assertStrContains(found[3], "(missing)")
-end
-
 -- Frames that are not dissected: a Start of an unknown ID, a known message with a YAPP CTL, one that is longer.
 function T.test_undissected_frames()
   local capture = new_capture()
@@ -283,15 +273,6 @@ function T.test_bytes_that_the_capture_ends_before()
   lu.assertEquals({ is_unfinished(first), is_unfinished(last) }, { false, false })
   lu.assertEquals({ is_unfinished(first, { number = 1, visited = true }),
     is_unfinished(last, { number = 2, visited = true }) }, { false, true })
-end
-
-function T.test_datagrams_and_tcp()
-  for _, kind in ipairs { lines.UDP, lines.TCP } do
-    local capture = new_capture()
-    local text = results_in_words(visit_packet(capture, kind, MOTOR_FRAME .. HEALTH_FRAME, { seq = 100 }))
-    lu.assertEquals(text, "single good Motor Data, single good Health")
-    lu.assertEquals(#capture.events, 2)
-  end
 end
 
 function T.test_skipped_bytes_of_a_dump()

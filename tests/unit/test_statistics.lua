@@ -430,16 +430,6 @@ function T.test_check_says_where_seq_no_does_not_number_messages()
   lu.assertEquals({ note_of(5, 5, 6) }, { 0, "null" })
 end
 
-function T.test_what_was_not_decoded_was_not_checked()
-  local strange = record(2, 1, { source = ODD, fits = false })
-  local found, code = verdicts("crc=0", { record(1, 0), strange })
-  lu.assertEquals(found[3], "unknown=0 null false 1 2")
-  lu.assertEquals(code, 20)
-  found, code = verdicts("unknown=1", { strange })
-  lu.assertEquals({ found, code }, { { "unknown=1 null true 1 2" }, 0 })
-  lu.assertEquals(verdicts("crc=0", { record(3, 2, { fits = false }) })[2], "unknown=0 left false 1 3")
-end
-
 function T.test_what_cannot_be_judged()
   local function code_of(rules, records, with) return (select(2, verdicts(rules, records, with))) end
   local good = { record(1, 0) }
@@ -822,17 +812,6 @@ function T.test_all_is_well()
   lu.assertEquals(select(2, verdicts("source=left", records)), 0)
 end
 
-function T.test_what_is_not_well()
-  local good = record(1, 0)
-  local function code_of(second, with, rules) return (select(2, verdicts(rules or "", { good, second }, with))) end
-  lu.assertEquals(code_of(nil, { named = NAMED }, "source=right"), 20)
-  lu.assertEquals(code_of(skipped(2, 0.1)), 0) -- a shell may write there
-  lu.assertEquals(code_of(nil, { problem = "x.lua was not read" }), 21)
-  lu.assertEquals(select(2, verdicts("", {})), 21) -- nothing came
-  lu.assertEquals(select(2, verdicts("", { skipped(1, 0) })), 21)
-  lu.assertEquals(code_of(nil, nil, "source=nobody"), 21)
-end
-
 -- A window of Wireshark has room for 73 characters: a row is one line of it, but for a long text.
 function T.test_tables_fit_a_window()
   local flag = { name = "long_name_of_a_flag", mask = 1 }
@@ -1127,25 +1106,6 @@ function T.test_copies()
   lu.assertEquals(run({ "events" }, { records[1], records[2] }),
     "YAPP events: 0\n1 message was recorded twice; each counts once\n")
   lu.assertNil(run({ "summary" }, { records[1] }):find("recorded"))
-end
-
--- Two recorders: the stamps of LEFT are 6.2 s ahead of those of RIGHT.  A fault of 0.2 s lasts 0.2 s, no gap is
--- longer than 0.1 s and nobody is silent, whoever's packet comes last; the steps back are events, and are said.
-function T.test_stamps_of_two_recorders_that_alternate()
-  for count = 19, 20 do
-    local records = {}
-    for i = 0, count - 1 do
-      local k = math.floor(i / 2)
-      local bits = (k == 3 or k == 4) and 1 or 0
-      local change = k == 3 and raised(1, 1) or k == 5 and raised(0, 0, 1) or nil
-      records[i + 1] = i % 2 == 0 and record(i + 1, k * 0.1, { payload = payload(10, bits), change = change }) or
-        record(i + 1, k * 0.1 - 6.2, { source = RIGHT })
-    end
-    lu.assertEquals(found("faults,json", "fault", records, {})[2]:match('"active":([%d.]+)'), "0.200000000")
-    lu.assertEquals(select(2, verdicts("motor.gap=0.11,silence=0,motor.rate=9..11", records)), 0)
-    lu.assertEquals(#found("events,json", "clock", records, {}), math.floor(count / 2))
-    lu.assertStrContains(said(records)[2], "time stamps went back")
-  end
 end
 
 -- A step back for good: what is silent from then on is silent to the capture's true end.
