@@ -439,6 +439,8 @@ function T.test_what_cannot_be_judged()
   lu.assertEquals(code_of("source=nobody,motor.count=1", good), 21)
   lu.assertEquals(code_of("fault=0", { bad(1, 0) }), 21)
   lu.assertEquals(code_of("motor.rate=1", { record(1, 0), record(2, 0) }), 21)
+  local stepped = { record(1, 0), record(2, 1), record(3, 0), record(4, 1), record(5, 2) } -- a step back has no length
+  lu.assertEquals({ code_of("motor.rate=1.5", stepped), code_of("motor.rate=1", stepped) }, { 20, 0 })
   lu.assertEquals(code_of("crc=0", good, { problem = "the catalogue did not load whole" }), 21)
   lu.assertEquals(code_of("crc=0,nonsense=1", good), 21)
   lu.assertEquals(code_of("unknown=0", { lost(1, 0, "incomplete", ODD) }), 21)

@@ -64,8 +64,8 @@ local Groups = {}
 --- Make a class of statistics that gather by source.  A group is the record of a source: {
 --   source, type = the source's
 --   counts = { [kind of event] = see new_count }
---   count = of good messages, decoded = of those that were decoded; first, last = their events
---   gap_min, gap_max = seconds, gap_max_frame
+--   count = of good messages, decoded = of those that were decoded; last = event of the latest one
+--   length = of all gaps; gap_min, gap_max = seconds, gap_max_frame
 --   silent = how long it has been silent at the capture's end, if that is a silence
 --   is_unreliable = true if one of them had an unreliable history
 --   values = of Groups:new_values }
@@ -93,6 +93,7 @@ function M.class(class)
         counts = memo(new_count),
         count = 0,
         decoded = 0,
+        length = 0,
         values = message_type and self:new_values(message_type) or kinds.NOTHING,
       }
     end, self.list)
@@ -150,8 +151,8 @@ local function add_message(self, event)
       group.gap_max, group.gap_max_frame = gap, event.frame
     end
     group.gap_min = math.min(gap, group.gap_min or gap)
+    group.length = group.length + gap
   end
-  group.first = group.first or event
   group.count = group.count + 1
   group.is_unreliable = group.is_unreliable or event.values.is_unreliable
   if not event.raws then return end
@@ -185,7 +186,7 @@ end
 
 --- Return the mean gap in seconds, nil for fewer than two messages.
 function M.mean_gap(group)
-  return group.count > 1 and span(group.first.at, group.last.at) / (group.count - 1) or nil
+  return group.count > 1 and span(0, group.length) / (group.count - 1) or nil
 end
 
 --- Return the mean rate in Hz, nil where no two messages are at two times.
