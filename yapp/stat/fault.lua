@@ -269,17 +269,20 @@ local function message_row(card, event)
   return new_row(card, event, row)
 end
 
--- Return the messages of the Command before a fault: the controller's own, else its bus's.
+-- Return the messages of the Command before a fault: the controller's own, else the latest of its
+-- bus.
 local function find_command(source, all)
-  local found = nil
+  local commands = {}
   for _, messages in ipairs(all) do
     local other = messages[1].source
     local is_command = other.bus_key == source.bus_key and other.type.name == source.type.answers
-    if is_command and not (found and is_same_controller(found[1].source, source)) then
-      found = messages
-    end
+    if is_command then insert(commands, messages) end
   end
-  return found
+  output.sort(commands, function(messages)
+    local latest = messages[#messages]
+    return is_same_controller(latest.source, source) and 1 or 0, latest.frame
+  end)
+  return commands[#commands]
 end
 
 -- Add the rows about the sources before a fault.
