@@ -13,7 +13,7 @@ MAPPING, WORKED_EXAMPLES = 6, 5  # what 2^N is reduced by
 
 # Expert items and fields of YAPP's own that are worked out from more than one message: they stand in no .expected file.
 CHANGE_EXPERTS = ["yapp.late", "taurus.reboot", "taurus.stale", "taurus.fault.raised", "taurus.fault.cleared", "taurus.jump"]
-EVENT_EXPERTS = [*CHANGE_EXPERTS, "yapp.source.shared", "yapp.unfinished", "yapp.copy"]
+EVENT_EXPERTS = [*CHANGE_EXPERTS, "taurus.disabled", "yapp.source.shared", "yapp.unfinished", "yapp.copy"]
 EXPERTS = [name for name in published.of("expert") if name not in (*EVENT_EXPERTS, "yapp.can.id.missing")]
 HISTORY = re.compile(r"yapp\.(bus|source|message\.fault|seq\.missing|copy_of|reassembled\.data|fragment\.data|like\..*)$")
 YAPP = {name.removeprefix("yapp."): kind for name, kind in published.of("field").items()

@@ -94,10 +94,23 @@ def test_what_the_clocks_say(folder, name, seconds, frames, label):
         assert label in shown
 
 
+@levels.by_version
+def test_a_command_turns_motors_off(folder):
+    """At the Command from 1 to 0 while a motor turns: not at one that repeats it, nor where the key is undefined."""
+    turns = MOTOR[:12] + "00C0" + MOTOR[16:] + "0000" + 8 * "00" + "05FF"
+    command = "fd [000 {:02}{:02X}01FD7FFD7F]".format
+    sent = [f"fd [210 {turns}]", command(1, 0xA5), command(0, 0), command(0, 0xA5), command(0, 0xA5), command(1, 0xA5)]
+    (folder / "off.pcap").write_bytes(make.pcap(make.Source("".join(f"{n / 10:.1f} can0 {one}\n" for n, one in enumerate(sent)))))
+    for passes in ((), ("-2",)):
+        shown = tshark.run(*passes, "-r", folder / "off.pcap", "-Y", "taurus.disabled", "-O", "taurus").stdout
+        assert re.findall(r"(?m)^Frame (\d+):", shown) == ["4"]
+        assert "A Command turned off motors that were turning" in shown
+
+
 @levels.without_tshark("of the tables of the tests alone")
 def test_every_expert_item_has_a_capture():
     """That of yapp.copy: test_copies.py."""
-    found = {row[0] for row in EXPERTS + KNOWN_LATER} | {row[0] for row in CLOCKS} | {"yapp.copy"}
+    found = {row[0] for row in EXPERTS + KNOWN_LATER} | {row[0] for row in CLOCKS} | {"taurus.disabled", "yapp.copy"}
     assert found == set(model.EXPERTS + model.EVENT_EXPERTS)
 
 

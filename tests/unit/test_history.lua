@@ -37,7 +37,7 @@ end
 
 local function command(number, time, bus, seq)
   return { source = source_of("command" .. tostring(bus), COMMAND, bus), seq = seq or 0, key = number,
-    time = time, status = "good", raws = {}, payload = "" }
+    time = time, status = "good", raws = {}, remarks = {}, payload = "" }
 end
 
 local function new(options)

@@ -13,6 +13,7 @@ local options_of = require("yapp.stat.options")
 local run_of = require("yapp.stat.run")
 local sources_of = require("yapp.message.sources")
 local faults_of = require("yapp.message.faults")
+local history_of = require("yapp.message.history")
 local stamps_of = require("yapp.capture.stamps")
 
 local T = {}
@@ -785,6 +786,13 @@ function T.test_disabled()
           end
         end
       end
+    end
+    local past = history_of.new { late = 2.5, catalogue = catalogue,
+      buses = { has_times = function() return true, true end, stamps = stamps_of.new() } }
+    for _, one in ipairs(records) do
+      local values = one.values
+      values.source, values.key, values.time, values.status = one.source, one.frame * 0x20000, one.time, "good"
+      values.change = past:add(values)
     end
     local lengths, count = {}, 0
     for line in run({ "events,json" }, records, { catalogue = catalogue }):gmatch("[^\n]+") do

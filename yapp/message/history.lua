@@ -7,6 +7,7 @@
 
 local band = require "yapp.base.bits".band
 local binary = require "yapp.message.binary"
+local field_kinds = require "yapp.message.field_kinds"
 local last_until = require "yapp.base.frame_key".last_until
 local faults_of = require "yapp.message.faults"
 local memo = require "yapp.base.memo"
@@ -15,6 +16,7 @@ local M = {}
 
 local huge, insert = math.huge, table.insert
 
+local TURNING = 0.1 -- share of the highest speed so far; a faster motor turns
 local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
 local MAX_JUMP = 1 + HALF_NANOSECOND -- seconds; the capture's clock may jitter by less
 -- A Seq up to 8 behind came late, if it came within a second; it does not mean 248 missing.
@@ -44,13 +46,17 @@ function M.new(options)
     stamps = options.buses.stamps,
     by_source = {}, -- [source] = see new_source
     commands = {}, -- [name of a message that others answer][bus or false] = frame keys, ascending
+    motors = {}, -- the same: the states of the sources that answer and have a speed, see new_source
     -- For revisits, by the frame key of a message:
     changes = {}, -- its change, or nil
     deltas = {}, -- seconds since the source's previous good message, or false
   }, History)
   for _, message_type in ipairs(options.catalogue.messages) do
     local answered = message_type.answers
-    if answered then self.commands[answered] = memo(function() return {} end) end
+    if answered then
+      self.commands[answered] = memo(function() return {} end)
+      self.motors[answered] = memo(function() return {} end)
+    end
   end
   return self
 end
@@ -59,8 +65,9 @@ local function new_source(self, message)
   local message_type, bus = message.source.type or NO_TYPE, message.source.bus_key or false
   local options, answered = self.options, self.commands[message_type.answers]
   local has_times, has_clock = options.buses:has_times()
-  local answering = self.commands[message_type.name]
-  return {
+  local answering, motors = self.commands[message_type.name], self.motors[message_type.name]
+  local source = {
+    source = message.source,
     -- Its message type:
     flag_fields = message_type.flag_fields,
     period = message_type.every or 0,
@@ -87,7 +94,17 @@ local function new_source(self, message)
     bases = {}, -- of each: seconds of the controller's clock less the capture's
     commands = answered and answered[bus], -- ascending: the messages that they answer
     own = answering and answering[bus], -- ascending: if others answer them
+    -- Of a motor, in the unit of its speed: the latest, and the highest so far.
+    read_speed = message_type.speed and field_kinds.reader[message_type.speed],
+    speed = 0,
+    highest = 0,
+    -- Of a Command:
+    enables = message_type.enables,
+    enabled = nil, -- the latest value of this field
+    motors = motors and motors[bus],
   }
+  if answered and source.read_speed then insert(self.motors[message_type.answers][bus], source) end
+  return source
 end
 
 -- Clocks -----------------------------------------------------------------------------------------
@@ -222,9 +239,37 @@ local function detect_late(source, _, delta)
   return stamps.gap and "may_be_late" or "late", delta
 end
 
+-- Return whether the controller ignores a Command: its key is not defined.
+local function is_ignored(message)
+  for _, remark in ipairs(message.remarks) do
+    if remark[2] == "command.key.invalid" then return true end
+  end
+  return false
+end
+
+-- "disabled": the sources of the motors that turn and that a Command turns off.
+local function detect_disabled(source, message)
+  local raws = message.raws
+  if raws and source.read_speed then
+    local speed = math.abs(source.read_speed(raws))
+    if speed == speed then -- no reserved value
+      source.speed, source.highest = speed, math.max(speed, source.highest)
+    end
+  end
+  if not (raws and source.enables) or is_ignored(message) then return nil end
+  local before, enabled, turning = source.enabled, raws[source.enables.index], {}
+  source.enabled = enabled
+  if before ~= 1 or enabled ~= 0 then return nil end
+  for _, motor in ipairs(source.motors or turning) do
+    if motor.speed > TURNING * motor.highest then insert(turning, motor.source) end
+  end
+  return turning[1] and "disabled", turning
+end
+
 -- The detectors, in the order in which they need each other.  A new change is one of them, a row of
 -- stat.kinds (its event) and a row of show.fields (its expert item).
-local DETECTORS = { detect_clock, detect_flags, detect_faults, detect_missing, detect_late }
+local DETECTORS =
+  { detect_clock, detect_flags, detect_faults, detect_missing, detect_late, detect_disabled }
 
 -- Return the change of a good message, nil for none.
 local function update(source, message, delta, time, clock)
@@ -254,8 +299,8 @@ end
 --- Add the next message, in the order of the capture.
 -- is_only_pass  true if it is sure that it is not revisited
 -- message  { source = of message.types; raws = by index of field, nil if the payload does not fit;
---          payload, seq, status; key = frame key: never falls; an equal one replaces a message;
---          time = seconds of the capture }
+--          remarks, payload, seq, status; key = frame key: never falls; an equal one replaces a
+--          message; time = seconds of the capture }
 -- returns  its change, nil if the message is not good or changes nothing: {
 --   missing  how many messages are missing before it by Seq
 --   late     seconds since the previous one, if that is more than options.late periods
@@ -266,6 +311,7 @@ end
 --   flags    list of { field, value, raised = mask, cleared = mask } of the fields whose flags
 --            changed
 --   faults   of these flags the faults that rise or fall, see message.faults
+--   disabled  list of the sources whose motors turn and are turned off
 --   shared   true at the message that proves that several controllers share the source
 --   unreliable  true at the messages behind that one, which get nothing else }
 --          and the seconds since the source's previous good message, false for the first, and

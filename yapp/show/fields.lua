@@ -104,6 +104,8 @@ M.EXPERTS = {
     change = "stale", word = "STALE" },
   { "taurus.jump", "Controller's clock jumped ahead", "SEQUENCE", "WARN",
     change = "jump", label = "Controller's clock jumped ahead by %.1f s", word = "JUMP" },
+  { "taurus.disabled", "A Command turned off motors that were turning", "SEQUENCE", "WARN",
+    change = "disabled" },
   { "taurus.command.key.invalid", "Key is not defined (the controller ignores this command)",
     "PROTOCOL", "WARN" },
   { "taurus.value.special", "Reserved value: not a number, infinite or out of range",

@@ -20,7 +20,6 @@ local M = {}
 local new_event, new_follower = kinds.new_event, kinds.new_follower
 local span, NOTHING = kinds.span, kinds.NOTHING
 local MAX_GAP = 1.5 -- periods; a longer gap has room for another message
-local TURNING = 0.1 -- share of the highest speed so far; a faster motor turns
 
 -- What an anomaly loses, by its expert item.
 local LOSSES = {
@@ -88,12 +87,7 @@ local function new_state(source)
     room_silent = 0, -- how many of both are in silences
     orphan_seq = nil, -- of a message whose Start is lost, while its frames come
     unknown_seq = nil, -- the latest, see add_undissected
-    -- Of a motor, in the unit of its message type's field `speed`:
-    speed = 0, -- the latest
-    highest = 0, -- so far
-    -- Of a Command:
-    enabled = nil, -- the latest value of its message type's field `enables`
-    disabled = nil, -- the latest event `disabled`, until motors are enabled again
+    disabled = nil, -- of a Command: the latest such event, until motors are enabled again
     stretch = nil, -- of a line: values of its skipped bytes, while nothing else comes
   }
 end
@@ -170,31 +164,10 @@ end
 
 -- Commands ----------------------------------------------------------------------------------------
 
-local function add_speed(state, field, raws)
-  local speed = math.abs(field_kinds.reader[field](raws))
-  if speed ~= speed then return end -- a reserved value
-  state.speed, state.highest = speed, math.max(speed, state.highest)
-end
-
--- Return the names of the motors that turn and that a source of Commands is about: those of its
--- bus.
-local function turning_motors(self, command)
-  local names = {}
-  for _, state in ipairs(self.states) do
-    local source = state.source
-    local is_commanded = source.type and source.type.answers == command.type.name
-    local turns = state.speed > TURNING * state.highest
-    if is_commanded and turns and source.bus_key == command.bus_key then
-      names[#names + 1] = output.row(source, {}).who
-    end
-  end
-  return table.concat(names, ", ")
-end
-
 -- The event `disabled` is handed on at once; its values change when motors are enabled again.
-local function add_command(self, state, event, enabled)
-  local before, disabled = state.enabled, state.disabled
-  state.enabled = enabled
+-- turning  sources that a Command turns off, see message.history; nil for none
+local function add_command(self, state, event, enabled, turning)
+  local disabled, names = state.disabled, {}
   if enabled == 1 and disabled then
     local length = span(disabled.at, event.at)
     -- Equal stamps tell nothing.
@@ -203,21 +176,11 @@ local function add_command(self, state, event, enabled)
     disabled.values.rest = seconds and ("enabled again after %s s"):format(seconds.short) or ""
     state.disabled = nil
   end
-  if before ~= 1 or enabled ~= 0 then return end
-  local motors = turning_motors(self, event.source)
-  if motors == "" then return end
-  local values = { motors = motors, length = nil, rest = "never enabled again" }
+  if not turning then return end
+  for i, source in ipairs(turning) do names[i] = output.row(source, {}).who end
+  local values = { motors = table.concat(names, ", "), rest = "never enabled again" }
   state.disabled = new_follower("disabled", event, values)
   self.hand_on(state.disabled)
-end
-
--- Add what a Command and its motors do.
-local function add_motion(self, state, event, is_ignored)
-  local message_type, raws = event.source.type, event.raws
-  if event.values.is_unreliable then return end
-  if message_type.speed then add_speed(state, message_type.speed, raws) end
-  if not message_type.enables or is_ignored then return end
-  add_command(self, state, event, raws[message_type.enables.index])
 end
 
 -- Add the values that the catalogue does not define.  A controller ignores a Command with an
@@ -270,7 +233,12 @@ local function add_message(self, state, event)
     if state.every and not values.is_unreliable then add_span(self, state, last, event, change) end
   end
   self.hand_on(event)
-  if event.raws then add_motion(self, state, event, add_invalid(self, event)) end
+  if event.raws then
+    local is_ignored, enables = add_invalid(self, event), event.source.type.enables
+    if enables and not is_ignored then
+      add_command(self, state, event, event.raws[enables.index], change.disabled)
+    end
+  end
   if change ~= NOTHING then add_changes(self, event, change) end
 end
 
