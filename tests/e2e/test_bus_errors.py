@@ -38,14 +38,6 @@ def failed(path, *rules):
 
 # Captures of others ------------------------------------------------------------------------------------------------------
 
-@pytest.mark.parametrize("name", ["bus_off.pcapng", "bus_off.log"])
-def test_bus_off(name):
-    events = said(CASES / name)
-    assert on_buses(events) == [("can0", "passive", 106), ("can0", "off", 112), ("can0", "restarted", 113)]
-    assert failed(CASES / name) == (20, {"bus_off": 1, "bus_passive": 1, "silence": 1})
-    assert [event["near"] for event in events if event["kind"] == "silence"] == \
-        ["bus passive at 2.050 s, off at 2.110 s, restarted at 3.300 s"]
-
 
 # Random error frames -----------------------------------------------------------------------------------------------------
 

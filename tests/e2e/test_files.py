@@ -3,6 +3,7 @@
 import gzip
 import json
 import os
+import pathlib
 import re
 import shutil
 import subprocess
@@ -92,6 +93,17 @@ def test_readers_hold_what_wireshark_hands_them():
              for name, arguments in re.findall(r"(?m)function handler\.(\w+)\((.*?)\)(?: --.*)?$", path.read_text())]
     assert len(found) >= 4
     assert [(file, name) for file, name, count in found if count != wanted[name]] == []
+
+
+@pytest.mark.parametrize("name", levels.few(
+    ["can/document_motor.pcap", "can/two_interfaces.pcapng", "serial/dump_document.yapp", "candump/candump_log_two_buses.log",
+     "other/motor.asc"], ["serial/dump_document.yapp"]))
+def test_a_collector_that_is_always_at_work(name):
+    """Wireshark 4.4 writes to the arguments of a reader's function after it has returned: if one was collected meanwhile, into
+    memory of others, and ends."""
+    shown = tshark.run("-X", f"lua_script:{pathlib.Path(__file__).with_name('collect.lua')}", "-r", tshark.CAPTURES / name, "-T", "fields", "-e", "yapp.id",
+                       env={"YAPP_COLLECT": "1"})
+    assert shown.stdout.strip() and "pause 1\n" in shown.stderr
 
 
 # A compressed file that is damaged ---------------------------------------------------------------------------------------

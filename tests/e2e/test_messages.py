@@ -210,12 +210,3 @@ if __name__ == "__main__":
         (OWN / f"{one}.expected").write_text(shown(one))
 
 
-@pytest.mark.parametrize("wanted, frames", [
-    ('taurus.version.text contains "größe°"', [4]), ('taurus.version.text == "2.1.0-rc1"', [1]),
-    ('not taurus.version.text contains "é"', [*range(1, 9)])])
-def test_utf_8_in_strings(wanted, frames):
-    """Shown as text and found by a filter, although what cannot be shown stands in the same string."""
-    folder = tshark.CAPTURES / "cases"
-    done = tshark.run("-r", folder / "strings_udp.pcap", "-Y", wanted, "-T", "fields", "-e", "frame.number",
-                      env={"YAPP_MESSAGES": str(folder / "strings_messages.lua")})
-    assert [int(line) for line in done.stdout.split()] == frames

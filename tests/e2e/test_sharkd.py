@@ -2,13 +2,11 @@
 """Frames asked for here and there, as sharkd's clients do: each is what it is in the whole capture."""
 import json
 import os
-import pathlib
 import shutil
 import subprocess
 
 import pytest
 
-import can_generator
 import levels
 import stream_captures
 import tshark
@@ -59,36 +57,6 @@ def details(number):
 def ask(home, path, frames):
     """What sharkd says of frames in this order: for each the filter expressions of its fields."""
     return [filters_in(answer) for answer in answers_of(home, path, *map(details, frames))]
-
-
-# The first pass over a long capture has no fields, so no interface; the details of a frame have one.
-@pytest.mark.parametrize("before", [0, 2000], ids=["one interface", "IP for long"])
-def test_what_changed_since_the_message_before(before, folder, home):
-    path, messages = pathlib.Path(folder) / "long.pcapng", []
-    for fault in (0, 0, 1):
-        payload = bytes(18) + bytes([fault]) + bytes(13)  # fault flags, bit 0
-        messages += [can_generator.Sent(0x210, 0, 0, payload).frames() for _ in range(200)]
-    frames = [frame for message in messages for frame in message]
-    if before:
-        can_generator.write_behind_ip(path, before, frames)
-    else:
-        can_generator.write(path, frames, "one interface")
-    raised = before + 5 * 401
-    found, = ask(home, path, [raised])
-    assert {"taurus.motor.fault.raised == 0x00000001", "yapp.crc.status == 1"} <= found, sorted(found)
-
-
-def test_details_and_packet_list_in_turns(folder, home):
-    """The details of a frame have its interface, the packet list has not; where the file is long, nobody asked for it."""
-    path = pathlib.Path(folder) / "long.pcapng"
-    frames = [frame for _ in range(600) for frame in can_generator.Sent(0x210, 0, 0, bytes(range(1, 33))).frames()]
-    can_generator.write(path, frames, "one interface")
-    first, rows, fifth, again = answers_of(home, path, details(1), ("frames", {}), details(5), ("frames", {}))
-    assert len(rows) == len(again) == len(frames)
-    for row in rows + again:
-        assert "YAPP" in row["c"] and "of no message" not in row["c"][-1], row
-    assert "yapp.reassembled.in == 5" in filters_in(first)
-    assert "yapp.crc.status == 1" in filters_in(fifth)
 
 
 def test_another_file(home):

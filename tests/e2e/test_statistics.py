@@ -318,39 +318,6 @@ def test_check_alone(results, seed):
         assert done.returncode == 0, done.stdout
 
 
-def latest_apart(flight, form, field):
-    """The largest spread of a field of Motor Data among all its sources: (value, number of the frame)."""
-    late, latest, worst = round(flights.LATE * flights.EVERY["motor"] * flights.SECOND), {}, None
-    good = [(message.frames[-1], sender, message) for sender in flight.senders if sender.kind == "motor"
-            for message in sender.messages if message.is_good]
-    for frame, sender, message in sorted(good, key=lambda one: one[0].number):
-        latest[sender] = frame.at, flights.numbers(sender, message.payload)[field]
-        values = [value for at, value in latest.values() if value is not None and frame.at - at <= late]
-        if len(values) > 1 and (worst is None or max(values) - min(values) > worst[0] + 1e-9):
-            worst = max(values) - min(values), frame.number
-    return worst
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_compare(results, seed):
-    form, flight, field = "pcapng", flight_of(seed), "motor_temperature"
-    capture = results(seed, flights.FORMS[seed % 3], "one pass")[2].with_name(f"{seed}.compare.pcapng")
-    flight.write(capture, form)
-    worst = latest_apart(flight, form, field)
-    if not worst:
-        return
-    rules = [f"motor.{field}.spread={limit:.6f}" for limit in (worst[0] + 0.001, worst[0] - 0.001)]
-    found, returned = statistics(flight, form, capture, "compare,json", f"check,json,unknown=99,{','.join(rules)}", check=False)
-    (line,) = [line for line in found["compare"] if (line["message"], line["field"]) == ("motor", field)]
-    assert (float(line["spread"]), line["frame"]) == (pytest.approx(worst[0], rel=1e-6), worst[1])
-    assert [line["ok"] for line in found["check"] if line["rule"] in rules] == [True, False] and returned == 20
-    summary = {(row["bus"], row["id"]): row for row in flight.truth(form)["summary"]}
-    for one in line["sources"]:
-        truth = summary[one["bus"], one["id"]]["values"][field]
-        for end in truth:
-            assert_close(one[end], truth[end], (one, end), 5e-7)
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_check(results, seed):
     """Each rule holds at what the truth has, and fails one step beyond."""

@@ -316,25 +316,6 @@ def test_a_first_message_that_another_protocol_takes_is_no_all_clear(folder, pas
     assert done.returncode == 0, done.stdout
 
 
-@levels.each_once
-@PASSES
-@pytest.mark.parametrize("conversation", [("udp", (502, 44818)), ("tcp", (8080, 3306))])
-def test_conversations_of_other_protocols_ports_behind_64_kb(folder, passes, conversation):
-    """Statistics search the file for them, and name the option; without it they are no all-clear."""
-    (kind, ports), other, filling = conversation, with_ports("udp", [(30001, 30002)], fault=None)[0][1], []
-    for number in range(100):
-        packet = Packet(b"of another protocol" * 50, other.origin)
-        packet.ports, packet.kind = (30001, 30002), "udp"
-        filling.append((number / 100, packet))
-    path = written(folder, [*filling, *((2 + seconds, packet) for seconds, packet in with_ports(kind, [ports]))], ported)
-    option = f"{kind}.port=={min(ports)},yapp_serial"
-    for what in "faults", "check":
-        done = tshark.run("-q", "-r", path, *passes, "-z", f"yapp,{what}", check=False)
-        assert done.returncode == 21 and f"try -d {option}" in done.stdout, what
-    counts, events = statistics(path, "-d", option, *passes)
-    assert counts == {("192.0.2.1", MOTOR_DATA): 20} and len(raised(events)) == 1
-
-
 def test_a_serial_interface_beside_ethernet_is_no_all_clear(folder):
     """Nobody said that its link type carries YAPP."""
     for data, code in (flight()[0][1], 21), (b"other bytes", 0):

@@ -95,16 +95,14 @@ def load(script=None):
     return ["-X", f"lua_script:{PLUGIN / 'yapp.lua'}"] if ROUTE == "script" else []
 
 
-def run(*arguments, plugin=True, stdin=None, cwd=None, env=None, check=True, lua_errors=False, limits=None):
-    """Runs tshark, within the limits that the function of this name sets; returns the completed process (text).  Fails on a
-    Lua error at load, in a tap, and in what shows expert items (-V, -T pdml, -z expert); and on exit != 0."""
+def run(*arguments, plugin=True, stdin=None, cwd=None, env=None, check=True, lua_errors=False):
+    """Runs tshark; returns the completed process (text).  Fails on a Lua error at load, in a tap, and in what shows expert items
+    (-V, -T pdml, -z expert); and on exit != 0."""
     environment = {**os.environ, "HOME": str(home(plugin)), "LC_ALL": "C.UTF-8", "TZ": "UTC", **(env or {})}
     environment.pop("XDG_CONFIG_HOME", None)
-    if limits:  # they are of the plugin's time and memory; checking takes several times as much
-        environment = {name: value for name, value in environment.items() if name not in STRICT}
     command = ["tshark", *(load() if plugin else []), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, stdin=stdin or subprocess.DEVNULL, cwd=cwd, env=environment,
-                          timeout=TIMEOUT, preexec_fn=limits, **_user())
+                          timeout=TIMEOUT, **_user())
     done.stdout, done.stderr = done.stdout.decode("utf-8", "replace"), done.stderr.decode("utf-8", "replace")
     if check:
         assert done.returncode == 0, f"{command}\n{done.stderr}"

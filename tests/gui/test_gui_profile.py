@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """The profile YAPP in Wireshark's windows: column names, colours, the group of filter buttons and the lines of the graphs
 are read off the screen."""
-import os
 import pathlib
 import re
 import shlex
 import shutil
-import subprocess
 import sys
 
 import pytest
@@ -136,25 +134,3 @@ def test_a_message_is_copied_as_candump(capture):
     assert gui.tshark.fields(copied, fields, "-Y", "taurus.motor") == original != []
 
 
-def installer(wireshark):
-    """Runs install.py as the user of a Wireshark; returns the lines that say what is kept."""
-    done = subprocess.run(["/usr/bin/python3", gui.ROOT / "tools/install.py"], env={**os.environ, "HOME": str(wireshark.home)},
-                          capture_output=True, text=True, check=False, **wireshark.user)
-    return [line for line in done.stdout.splitlines() if line.startswith("kept")]
-
-
-def test_what_wireshark_writes_is_no_change(capture):
-    """Its files after the graphs were looked at are known as ours."""
-    with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
-        profile = wireshark.home / ".config/wireshark/profiles/YAPP"
-        installer(wireshark)
-        wireshark.wait_for_window("flight.pcapng")
-        wireshark.press("alt+s", "i", until=lambda: any("I/O Graphs" in title for title in wireshark.windows().values()))
-        wireshark.wait_for_window("I/O Graphs")
-        wireshark.keys("Escape")
-        wireshark.wait_for_window("flight.pcapng")
-        wireshark.keys("ctrl+q")
-        wireshark.wireshark.wait(30)
-        assert (profile / "preferences").read_bytes() != (PROFILE / "preferences").read_bytes()
-        assert installer(wireshark) == []
-        assert (profile / "preferences").read_bytes() == (PROFILE / "preferences").read_bytes()
