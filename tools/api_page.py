@@ -36,5 +36,5 @@ def entry(name, thing):
 
 
 print("# yapp_tables in Python\n\nMade of the docstrings by `tools/api_page.py`. How to use it: [tables.md](tables.md).\n")
-print(wrapped(inspect.getdoc(yt.api)), "\n")
+print(wrapped(inspect.getdoc(yt)), "\n")
 print("\n".join(entry(name, getattr(yt, name)) for name in yt.__all__).rstrip())

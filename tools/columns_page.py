@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Print docs/columns.md: every column of every table, from the code and the catalogue: columns_page.py >docs/columns.md"""
+import json
 import sys
 from pathlib import Path
 
@@ -8,7 +9,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent / "src"))  # that of this
 from yapp_tables import Tshark
 from yapp_tables.records import TABLES, column, columns_of
 from yapp_tables.series import DEGREES
-from yapp_tables.tables import ABOUT_HEAD, DURATION, KIND, SCHEMA, TIME, messages
+from yapp_tables.tables import ABOUT_HEAD, DURATION, HEAD, KIND, SCHEMA, TIME, differences, messages, said
 
 NAMES = {TIME: "time", DURATION: "duration", KIND: "text"}
 ABOUT = {
@@ -32,7 +33,7 @@ temperatures rose. `convert --with bench.csv` adds the means of a thrust stand's
 `bench_<column>`. A catalogue of your own has its own fields in A, V, W, RPM and °C here.""",
     "flights": "A row for each flight.",
 }
-HEAD = f"""\
+HEADING = f"""\
 # Every column of every table
 
 Made by `tools/columns_page.py`. How to use the tables: [tables.md](tables.md).
@@ -58,15 +59,15 @@ null, join by `IS NOT DISTINCT FROM`.
 def described_points(fields):
     """The columns of points that follow from the catalogue: of the message with a command."""
     for message in messages(fields).values():
-        values = [c for c in message.columns.values() if c.role == "value"]
-        if not any(c.name.endswith("_commanded") for c in values):
+        values = [(c.name, said(c.metadata)) for c in message if said(c.metadata).get("role") == "value"]
+        if not any(name.endswith("_commanded") for name, _ in values):
             continue
-        for c in values:
-            if c.unit in ("A", "V", "W", "RPM") and not c.name.endswith(("_commanded", "_error")):
-                yield c.name, "number", f"its mean: {c.title}", c.unit
-        for c in values:
-            if c.unit in DEGREES:
-                yield f"{c.name}_slope", "number", f"how fast it rose: {c.title}", f"{c.unit}/min"
+        for name, about in values:
+            if about.get("unit") in ("A", "V", "W", "RPM") and not name.endswith(("_commanded", "_error")):
+                yield name, "number", f"its mean: {about['title']}", about["unit"]
+        for name, about in values:
+            if about.get("unit") in DEGREES:
+                yield f"{name}_slope", "number", f"how fast it rose: {about['title']}", f"{about['unit']}/min"
 
 
 def table(rows):
@@ -80,36 +81,38 @@ def name_of(type_):
     return NAMES.get(type_) or {"double": "float64"}.get(str(type_), str(type_))
 
 
-def meaning(name, column, columns):
+def meaning(column, names, less):
     """What a field is."""
-    if column.difference:
-        return f"{column.title}: `{column.difference[0]}` less `{column.difference[1]}`"
-    if name.endswith("_special") and name.removesuffix("_special") in columns:
+    name, about = column.name, said(column.metadata)
+    if name in less:
+        return f"{about['title']}: `{less[name]['of']}` less `{less[name]['less']}`"
+    if name.endswith("_special") and name.removesuffix("_special") in names:
         return "the reserved value: `nan`, `inf`, `-inf`, `above`, `below`"
-    if name.endswith("_text") and name.removesuffix("_text") in columns:
+    if name.endswith("_text") and name.removesuffix("_text") in names:
         return f"the meaning of `{name.removesuffix('_text')}`"
-    values = ", ".join(f"{number} {text}" for number, text in column.values.items())
-    return f"{column.title}: {values}" if values and len(values) < 80 else column.title
+    values = ", ".join(f"{number} {text}" for number, text in json.loads(about.get("values", "{}")).items())
+    return f"{about['title']}: {values}" if values and len(values) < 80 else about["title"]
 
 
 def unit(column):
     """The unit of a column; a duration has its own."""
-    return "" if column.type == DURATION else column.unit
+    return "" if column.type == DURATION else said(column.metadata).get("unit", "")
 
 
-print(HEAD)
+print(HEADING)
 print("## Every message\n")
 print(table((f"`{name}`", name_of(type_), "", text) for name, (type_, text) in ABOUT_HEAD.items()))
 fields = Tshark(plugin=str(Path(__file__).parents[1] / "yapp.lua")).fields()
-for name, message in messages(fields).items():
-    print(f"\n## {name}: {message.title}\n\nThe columns of every message, then:\n")
-    columns = message.columns
-    print(table((f"`{each}`", name_of(c.type), unit(c), meaning(each, c, columns)) for each, c in columns.items()))
+for name, schema in messages(fields).items():
+    print(f"\n## {name}: {said(schema.metadata)['title']}\n\nThe columns of every message, then:\n")
+    less = {each["name"]: each for each in differences(fields["messages"][name])}
+    own = [column for column in schema if column.name not in HEAD]
+    print(table((f"`{c.name}`", name_of(c.type), unit(c), meaning(c, schema.names, less)) for c in own))
 for name in TABLES:
     columns = columns_of(fields, name)
     if name == "points":
-        columns |= {each[0]: column(*each) for each in described_points(fields)}
+        columns = [*columns, *(column(*each) for each in described_points(fields))]
     print(f"\n## {name}\n\n{ABOUT[name]}\nThe first columns are `flight_id` and `source_file`, then:\n")
     names = {"message": "message_name"}
-    print(table((f"`{names.get(c.name, c.name)}`", name_of(c.type), c.unit, c.title) for c in columns.values()))
+    print(table((f"`{names.get(c.name, c.name)}`", name_of(c.type), unit(c), said(c.metadata)["title"]) for c in columns))
 print("\nIn a notebook, `message_name` is called `message`: `flight.events` and the others have no folder.")

@@ -51,9 +51,10 @@ def test_the_columns_are_those_that_the_plugin_describes():
     own = {"name": "jitter", "type": "seconds", "unit": "s", "title": "x", "help": "how the gaps differ"}
     described = FIELDS["statistics"]["summary"]["columns"]
     columns = columns_of({"statistics": {"summary": {"columns": [*described, own]}}}, "summary")
-    assert list(columns)[:5] == ["bus", "id", "source", "controller", "message"]
-    assert list(columns)[-2:] == ["jitter", "other"]
-    assert (columns["jitter"].title, columns["jitter"].unit) == ("how the gaps differ", "s")
+    assert columns.names[:5] == ["bus", "id", "source", "controller", "message"]
+    assert columns.names[-2:] == ["jitter", "other"]
+    about = columns.field("jitter").metadata
+    assert (about[b"title"], about[b"unit"]) == (b"how the gaps differ", b"s")
     record = {"source": "left", "count": 3, "jitter": Decimal("0.25"), "strange": 7, "values": {}}
     (row,) = table([record], columns).to_pylist()
     assert (row["controller"], row["count"], row["jitter"], row["other"]) == ("left", 3, 0.25, '{"strange": 7}')
@@ -62,5 +63,5 @@ def test_the_columns_are_those_that_the_plugin_describes():
 def test_faults_have_what_is_described_of_them():
     columns = columns_of(FIELDS, "faults")
     found = faults(table([event(0, help="it is hot"), event(1, kind="reboot")], columns_of(FIELDS, "events")), columns)
-    assert found.schema.names == list(columns)
+    assert found.schema.names == columns.names
     assert found["help"].to_pylist() == ["it is hot"]

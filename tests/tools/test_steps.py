@@ -106,7 +106,7 @@ def test_a_bench_is_aligned_by_its_speed(tmp_path, offset, ppm, factor):
     assert np.abs(log.times - true).max() < 0.06
     assert set(log.columns) == {"bench_motor_electrical_speed_rpm", "bench_thrust_kgf"}
     assert f"{offset:+.1f}"[:4] in log.said or offset == 0
-    rows = list(steps.points(found, vars(log)))
+    rows = list(steps.points(found, log))
     # The last second of a log that begins earlier is of no hold.
     whole = [row for row in rows if row["bench_thrust_kgf"] is not None]
     assert len(whole) >= 4

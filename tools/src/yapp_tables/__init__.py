@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Captures of YAPP and Taurus as tables: tshark and the plugin decode, pyarrow stores."""
+"""Captures of YAPP and Taurus as tables: tshark and the plugin decode, pyarrow stores.
+
+`how` are the keywords of Tshark.
+"""
 
 from importlib.metadata import version
 
-from .api import convert, read, report
-from .convert import Config, convert_one
+from .convert import Config, convert, convert_one
 from .dataset import Result
 from .errors import CaptureError, MessageError, SetupError, YappError
-from .flight import Flight
+from .flight import Flight, read
+from .report import report
 from .tshark import Tshark
 
 __version__ = version("yapp-tables")

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import logging
-import os
 import re
 import sys
 from collections.abc import Iterable, Sequence
@@ -13,8 +12,10 @@ from importlib.abc import MetaPathFinder
 from pathlib import Path
 
 from . import __version__, baseline, install
-from .convert import KINDS, Config, convert_all, find
-from .errors import SetupError, YappError, count_of, need
+from .case import write_case
+from .convert import KINDS, convert, find
+from .errors import SetupError, YappError, count_of
+from .report import write_page
 from .scratch import write_whole
 from .tshark import Tshark
 
@@ -151,12 +152,15 @@ def _convert(given: argparse.Namespace) -> int:
     logging.disable(logging.CRITICAL)
     if given.to != "mf4":
         sys.meta_path.insert(0, _NoPandas())
-    captures = find(given.captures)
-    if given.bench and len(captures) > 1:
-        raise SetupError(f"{given.bench} is the log of one capture: name that one alone")
-    bench = os.path.abspath(given.bench) if given.bench else None
-    config = Config(given.out, given.to, _tshark(given), bench=bench)
-    results = convert_all(captures, config, jobs=given.jobs, scheduler=given.scheduler)
+    results = convert(
+        given.captures,
+        given.out,
+        to=given.to,
+        jobs=given.jobs,
+        scheduler=given.scheduler,
+        bench=given.bench,
+        **vars(_tshark(given)),
+    )
     for result in results:
         partial = f"read in part: {result.partial}" if result.partial else None
         said = (result.failure, partial, *result.lacks, *result.notes)
@@ -175,15 +179,12 @@ def _convert(given: argparse.Namespace) -> int:
 
 
 def _report(given: argparse.Namespace) -> int:
-    write = need(f"{__package__}.report", "report").report
-    page = Path(given.out or Path(given.capture).with_suffix(".html"))
-    flight = write(Path(given.capture), _tshark(given), page, Path(given.rules) if given.rules else None)
+    _, flight = write_page(Path(given.capture), given.out, given.rules, _tshark(given))
     _say(f"{flight.name}: {text}" for text in flight.left_out)
     return FAILED if flight.partial else INCOMPLETE if flight.left_out else 0
 
 
 def _case(given: argparse.Namespace) -> int:
-    write_case = need(f"{__package__}.case", "report").write_case
     print(f"{given.out}: {write_case(Path(given.capture), given.number, _tshark(given), Path(given.out))}")
     return 0
 

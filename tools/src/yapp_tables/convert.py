@@ -14,18 +14,17 @@ from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from tqdm import tqdm
 
-from .dataset import DataSet, Result, flight_id, plain_name
+from .dataset import DataSet, Result, StrPath, flight_id, plain_name
 from .errors import CaptureError, SetupError, YappError, need
-from .records import all_tables
-from .tables import Origin, catalogue_version, nothing_in, present
+from .flight import Flight
+from .tables import catalogue_version, nothing_in, present
 from .tshark import Record, Tshark, check_file
 from .writers import Target, Writer
 
-StrPath = str | os.PathLike[str]
 Kind = Literal["parquet", "csv", "delta", "mf4", "mcap"]
 SCHEDULER_SECONDS = 10
 # The module and the function that write a kind, and the extra that it needs: imported only when it is asked for.
@@ -43,7 +42,7 @@ class Config:
     """What a conversion depends on besides its capture: all that another machine needs to know.
 
     out: a folder, or a URL of fsspec such as s3://bucket/folder; to: "parquet", "csv", "mf4", "mcap" or "delta";
-    tshark: how captures are decoded; bench: the log of a thrust stand, for the one capture that it is of.
+    tshark: how captures are decoded; bench: the log of a thrust stand.
     """
 
     out: str
@@ -68,17 +67,29 @@ def find(patterns: StrPath | Iterable[StrPath]) -> list[Path]:
     return list(found)
 
 
-def convert_all(
-    captures: StrPath | Iterable[StrPath], config: Config, *, jobs: int | None = None, scheduler: str | None = None
+def convert(
+    captures: StrPath | Iterable[StrPath],
+    out: StrPath,
+    *,
+    to: Kind = "parquet",
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    bench: StrPath | None = None,
+    **how: Any,
 ) -> list[Result]:
-    """Convert captures to a data set, what is up to date not again; one that fails holds nobody up.
+    """Convert captures to a data set; what is up to date is not converted again. One that fails holds nobody up.
 
-    Returns a Result for each, in the order of the captures. Raises SetupError where nothing can be done, or the cluster
-    was lost: the same call does the rest. `yapp_tables.convert` describes the other parameters.
+    captures: paths or patterns; out: a folder or a URL of fsspec, "s3://bucket/data"; to: "parquet", "csv", "delta",
+    "mf4" or "mcap"; jobs: captures at a time, None for a core each; scheduler: of a Dask cluster, "tcp://HOST:PORT";
+    bench: the log of a thrust stand, for the one capture that it is of.
+    Returns a Result for each. Raises SetupError where nothing can be done, or the cluster was lost: the same call does
+    the rest.
     """
     found = find(captures)
-    writer(config.to)
-    config = replace(config, out=_absolute(config.out))
+    if bench and len(found) > 1:
+        raise SetupError(f"{bench} is the log of one capture: name that one alone")
+    writer(to)
+    config = Config(_absolute(str(out)), to, Tshark(**how), os.path.abspath(bench) if bench else None)
     dataset = DataSet(config.out, config.to)
     made = made_by(config.tshark, config.tshark.fields())
     dataset.open()
@@ -179,7 +190,7 @@ def convert_one(capture: StrPath, config: Config, made: str | None = None) -> Re
                 known = replace(known, capture=str(capture))
                 dataset.note(known)
             return known
-        return _convert(capture, config, dataset, Origin(flight, capture, tuple(config.tshark.options)), made)
+        return _convert(capture, config, dataset, made)
     except SetupError:
         raise
     except OSError as error:
@@ -188,7 +199,7 @@ def convert_one(capture: StrPath, config: Config, made: str | None = None) -> Re
         return Result(flight, str(capture), made, failure=str(error).removeprefix(f"{capture}: "))
 
 
-def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, made: str) -> Result:
+def _convert(capture: Path, config: Config, dataset: DataSet, made: str) -> Result:
     with dataset.aside() as aside:
         export = config.tshark.export(capture, aside / "export")
         here = made_by(config.tshark, export.fields)
@@ -196,17 +207,19 @@ def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, ma
             raise SetupError(f"the machine that works on it has another plugin or catalogue: {here}, not {made}")
         if not present(export):
             raise CaptureError(nothing_in(capture, export, config.tshark.filter))
-        tables = all_tables(export, origin, Path(config.bench) if config.bench else None)
-        name = f"{plain_name(capture)}-{origin.flight_id[:8]}{'.partial' if export.partial else ''}"
+        flight = Flight(capture, export)
+        tables = flight.tables(capture, config.tshark.options, Path(config.bench) if config.bench else None)
+        name = f"{plain_name(capture)}-{flight.flight_id[:8]}{'.partial' if export.partial else ''}"
         folder = aside / "result"
         folder.mkdir()
-        before = dataset.find(origin.flight_id)
-        writer(config.to)(tables, Target(folder, name, dataset.url, origin.flight_id))
-        files = tuple(sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()))
-        counts = {table.name: len(table.rows) for table in tables}
-        notes = (*export.notes, *export.said)
-        result = Result(origin.flight_id, str(capture), made, files, counts, export.partial, export.lacks, None, notes)
+        before = dataset.find(flight.flight_id)
+        writer(config.to)(tables, Target(folder, name, dataset.url, flight.flight_id))
+        files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+        counts = {name: len(rows) for name, rows in tables.items()}
+        result = Result(
+            flight.flight_id, str(capture), made, files, counts, export.partial, export.lacks, None, flight.notes
+        )
         dataset.place(folder, result)
         if before and config.to == "delta" and (gone := before.messages.keys() - counts.keys()):
-            need(f"{__package__}.delta", "delta").delete(dataset.url, origin.flight_id, gone)
+            need(f"{__package__}.delta", "delta").delete(dataset.url, flight.flight_id, gone)
         return result

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+import os
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,6 +18,7 @@ from .errors import SetupError, need
 from .scratch import scratch
 from .tables import SCHEMA
 
+StrPath = str | os.PathLike[str]
 NOTES = ".yapp-tables"
 SUFFIXES = (".gz", ".zst", ".lz4", ".pcapng", ".pcap", ".cap", ".log", ".txt", ".yapp", ".candump")
 
@@ -33,12 +35,12 @@ class Result:
     flight_id: str
     capture: str
     made_by: str
-    files: tuple[str, ...] = ()
+    files: Sequence[str] = ()
     messages: dict[str, int] = field(default_factory=dict)
     partial: str | None = None
-    lacks: tuple[str, ...] = ()
+    lacks: Sequence[str] = ()
     failure: str | None = None
-    notes: tuple[str, ...] = ()
+    notes: Sequence[str] = ()
 
 
 def flight_id(capture: Path) -> str:
@@ -94,13 +96,13 @@ class DataSet:
     def find(self, flight: str) -> Result | None:
         """Return what is known of a flight."""
         record = self._read(flight)
-        return None if record is None else _result(record)
+        return Result(**record) if record else None
 
     def results(self) -> Iterator[Result]:
         """Return what is known of all flights, all notes asked for at once."""
         if paths := self.fs.glob(f"{self.notes}/*.json"):
             notes = self.fs.cat(paths, on_error="omit")
-            yield from (_result(json.loads(notes[path])) for path in sorted(notes))
+            yield from (Result(**json.loads(notes[path])) for path in sorted(notes))
 
     def has_files(self, result: Result) -> bool:
         """Return whether the files of a result are there."""
@@ -158,8 +160,3 @@ class DataSet:
             return record
         except (OSError, ValueError):
             return None
-
-
-def _result(record: dict[str, Any]) -> Result:
-    lists = {name: tuple(record[name]) for name in ("files", "lacks", "notes")}
-    return Result(**(record | lists))

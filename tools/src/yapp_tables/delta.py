@@ -8,15 +8,15 @@ import os
 import random
 import re
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 
 import pyarrow as pa
 from deltalake import DeltaTable, write_deltalake
 from deltalake.exceptions import DeltaError, TableNotFoundError
 
 from .errors import YappError
-from .tables import DURATION, KIND, Table
-from .writers import Target
+from .tables import DURATION, KIND
+from .writers import Tables, Target
 
 # Several writers of one table: a transaction that another one overtook is tried again.
 TRIES = 50
@@ -35,33 +35,33 @@ TYPES = {
 }
 
 
-def write_delta(tables: Sequence[Table], target: Target) -> None:
+def write_delta(tables: Tables, target: Target) -> None:
     """Put the rows of a flight in place of those that are there; a column that is new extends the table."""
-    for table in tables:
-
-        def write(table: Table = table) -> None:
-            url, is_its = _url(target.url, table.name), _is(target.flight_id)
-            write_deltalake(url, _rows(table.rows), mode="overwrite", predicate=is_its, schema_mode="merge")
-
-        _again(write)
+    how = {"mode": "overwrite", "predicate": _is(target.flight_id), "schema_mode": "merge"}
+    for name, rows in tables.items():
+        _again(write_deltalake, _url(target.url, name), _rows(rows), **how)
 
 
 def delete(url: str, flight: str, messages: Iterable[str]) -> None:
     """Remove the rows of a flight."""
     for message in messages:
-        _again(lambda message=message: DeltaTable(_url(url, message)).delete(_is(flight)))  # type: ignore[misc]
+        _again(_table, url, message, lambda table: table.delete(_is(flight)))
 
 
 def compact(url: str, messages: Iterable[str]) -> None:
     """Make few large files of many small ones; readers see no difference."""
     for message in messages:
-        _again(lambda message=message: DeltaTable(_url(url, message)).optimize.compact())  # type: ignore[misc]
+        _again(_table, url, message, lambda table: table.optimize.compact())
 
 
-def _again(work: Callable[[], object]) -> None:
+def _table(url: str, message: str, work: Callable[[DeltaTable], object]) -> None:
+    work(DeltaTable(_url(url, message)))
+
+
+def _again(work: Callable[..., object], *what: object, **how: object) -> None:
     for number in range(TRIES):
         try:
-            work()
+            work(*what, **how)
             return
         except TableNotFoundError:
             return

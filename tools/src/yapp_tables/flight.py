@@ -3,19 +3,32 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from decimal import Decimal
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from .dataset import flight_id
+from .bench import aligned
+from .dataset import StrPath, flight_id
 from .errors import CaptureError, MessageError, count_of
-from .records import columns_of, faults, table
+from .incidents import faults_in
+from .records import TABLES, column, columns_of, faults, table, to_write
 from .scratch import scratch
-from .tables import HEAD, Message, Origin, catalogue_version, nothing_in, present, read_rows
+from .series import samples
+from .steps import point_columns, points, steps
+from .tables import HEAD, catalogue_version, nothing_in, present, read_rows
 from .tables import messages as catalogue
-from .tshark import Export, Tshark
+from .tshark import Export, Record, Tshark
+
+# A step of the capture's clock, in seconds, that counts as "it was set".
+SET = 1.0
+# Nobody recorded before 2000: an earlier time counts from the recorder's own start. Nanoseconds since 1970.
+YEAR_2000 = 946_684_800_000_000_000
 
 
 class Flight(Mapping[str, pa.Table]):
@@ -24,7 +37,7 @@ class Flight(Mapping[str, pa.Table]):
     name, flight_id: the capture's file name, and a name of its content;
     events: (n, kind, time, ...) faults, reboots, silences, bad CRCs, lost frames; times UTC in ns, lengths in seconds;
     faults: of these the flags raised and cleared; summary: a row for each bus and ID, rates in Hz, gaps in seconds;
-    messages: what the catalogue says of them; plugin: its version;
+    messages: {name: pyarrow.Schema}, what the catalogue says of them; plugin: its version;
     left_out: sentences on all that the capture has and the tables do not; empty where they are complete;
     partial: why a capture could not be read to its end; notes: sentences on copies.
     """
@@ -39,29 +52,38 @@ class Flight(Mapping[str, pa.Table]):
     ) -> None:
         """Load the tables of an export of this capture; messages, columns: these only; begin: of the capture."""
         self.name, self.flight_id, self.begin = capture.name, flight_id(capture), begin
-        self.partial, self.left_out, self.notes = export.partial, export.left_out, export.notes
+        self.partial, self.left_out, self.notes = export.partial, export.left_out, list(export.notes)
         self.plugin, self.catalogue = str(export.fields["plugin"]), catalogue_version(export.fields)
-        self.events = table(export.records["events"], columns_of(export.fields, "events"))
-        self.faults = faults(self.events, columns_of(export.fields, "faults"))
-        self.summary = table(export.records["summary"], columns_of(export.fields, "summary"))
-        found = present(export)
+        self.records = {name: columns_of(export.fields, name) for name in TABLES}
+        self.events = table(export.records["events"], self.records["events"])
+        self.faults = faults(self.events, self.records["faults"])
+        self.summary = table(export.records["summary"], self.records["summary"])
+        known, found = catalogue(export.fields), present(export)
         if not found:
             raise CaptureError(nothing_in(capture, export))
-        _check_words(catalogue(export.fields), messages, columns)
-        self.messages: dict[str, Message] = {each.name: each for each in found if not messages or each.name in messages}
-        self._titles = {name: str(entry["title"] or name) for name, entry in export.fields["messages"].items()}
-        self._tables: dict[str, pa.Table] = {}
-        for message in self.messages.values():
-            self._tables[message.name] = read_rows(export, message, Origin(self.flight_id, capture), columns).rows
+        self.titles: dict[str, str] = {name: schema.metadata[b"title"].decode() for name, schema in known.items()}
+        wanted = [name for name in known if not messages or name in messages]
+        for name in messages or ():
+            self._check("message", name, known)
+        for name in columns or ():
+            words = dict.fromkeys([*HEAD, *(each for message in wanted for each in known[message].names)])
+            self._check("column", name, words, f" in {' and '.join(wanted)}")
+        self.messages = {name: known[name] for name in found if name in wanted}
+        about = {"source_file": self.name, "flight_id": self.flight_id}
+        self._tables = {name: read_rows(export, name, about, columns) for name in self.messages}
+
+    @staticmethod
+    def _check(what: str, name: str, words: Mapping[str, Any], where: str = "") -> None:
+        if name not in words:
+            raise MessageError(f"no {what} {name!r}{where}; known {what}s: {', '.join(words)}")
 
     def __getitem__(self, message: str) -> pa.Table:
         """Return the rows of a message; MessageError, a KeyError, where the capture has none."""
         if message in self._tables:
             return self._tables[message]
-        if message not in self._titles:
-            raise MessageError(f"no message {message!r}; known messages: {', '.join(self._titles)}")
+        self._check("message", message, self.titles)
         why = "; ".join(self.left_out) or f"it has {', '.join(self)}"
-        raise MessageError(f"{self.name} has no decoded {self._titles[message]}: {why}")
+        raise MessageError(f"{self.name} has no decoded {self.titles[message]}: {why}")
 
     def __iter__(self) -> Iterator[str]:
         """Return the names of the messages that the capture has."""
@@ -77,12 +99,73 @@ class Flight(Mapping[str, pa.Table]):
 
     def title(self, message: str | None) -> str:
         """Return the title of a message."""
-        return self._titles.get(message or "", message or "unknown message")
+        return self.titles.get(message or "", message or "unknown message")
 
     def __repr__(self) -> str:
         """Return what is in it, on one line."""
         rows = ", ".join(f"{name}: {len(rows)}" for name, rows in self._tables.items())
         return f"<Flight {self.name} ({rows}; {count_of(len(self.events), 'event')})>"
+
+    def tables(self, capture: Path, options: Sequence[str], log: Path | None = None) -> dict[str, pa.Table]:
+        """Return its messages, events, faults, summary, steps, points and the flight itself, as a data set has them.
+
+        log: of a thrust stand. Raises SetupError where that does not fit.
+        """
+        # Steps and points are made of the message with a speed and its command, and of those commands.
+        commands = {each for schema in self.messages.values() for each in schema.names if each.endswith("_commanded")}
+        asked = {each.removesuffix("_commanded") for each in commands}
+        following = {name: self[name] for name, schema in self.messages.items()
+                     if {*commands, *asked} & set(schema.names)}  # fmt: skip
+        start = min((pc.min(rows["time"]).value for rows in following.values()), default=0)
+        found = samples(following, start=start)
+        bench = aligned(log, found) if log else None
+        if bench:
+            self.notes.append(bench.said)
+        columns = {each[0]: column(*each) for each in point_columns(found, list(bench.columns) if bench else [])}
+
+        def timed(rows: Iterator[Record], schema: pa.Schema) -> pa.Table:
+            return table((row | {"time": Decimal(start + round(row["at"] * 1e9)).scaleb(-9)} for row in rows), schema)
+
+        records = {
+            "events": self.events,
+            "faults": self.faults,
+            "summary": self.summary,
+            "steps": timed(steps(found), self.records["steps"]),
+            "points": timed(points(found, bench), pa.schema([*self.records["points"], *columns.values()])),
+            "flights": pa.Table.from_pylist([self._row(capture, options)], self.records["flights"]),
+        }
+        about = {"source_file": self.name, "flight_id": self.flight_id}
+        return self._tables | {name: to_write(name, rows, about) for name, rows in records.items()}
+
+    def _row(self, capture: Path, options: Sequence[str]) -> Record:
+        """Return the row of `flights`."""
+        ends = sorted((rows["frame"][at].as_py(), rows["time"][at].value) for rows in self.values() for at in (0, -1))
+        events = self.events.filter(pc.equal(self.events["kind"].cast(pa.string()), "clock"))
+        steps = [step for step in events["length"].to_pylist() if abs(step or 0) > SET]
+        start, last = ends[0][1], ends[-1][1]
+        length = (last - start) / 1e9 - sum(steps)
+        if start < YEAR_2000 <= last:  # the recorder got the time after a while
+            start = last - round(length * 1e9)
+        left_out = [*self.left_out[bool(self.partial) :], *self.notes]
+        if steps:
+            times = count_of(len(steps), "time")
+            left_out.append(f"the capture's clock was set {times}: times before and after do not compare")
+        if start < YEAR_2000:
+            left_out.append("the capture tells no absolute time: times count from 1970")
+        return {
+            "capture": str(capture),
+            "start": start if start >= YEAR_2000 else None,
+            "length": length,
+            "is_absolute": start >= YEAR_2000,
+            "clock_resets": len(steps),
+            "plugin": self.plugin,
+            "tools": version("yapp-tables"),
+            "options": " ".join(options),
+            "messages": sum(map(len, self.values())),
+            "faults": faults_in(self.events),
+            "partial": self.partial,
+            "left_out": "; ".join(left_out) or None,
+        }
 
 
 def read_flight(
@@ -101,14 +184,18 @@ def read_flight(
         return Flight(capture, export, messages, columns, tshark.begin(capture) if has_begin else None)
 
 
-def _check_words(known: Mapping[str, Message], messages: Sequence[str] | None, columns: Sequence[str] | None) -> None:
-    """Raise MessageError for a message or a column that does not exist."""
-    for name in messages or ():
-        if name not in known:
-            raise MessageError(f"no message {name!r}; known messages: {', '.join(known)}")
-    wanted = [message for name, message in known.items() if not messages or name in messages]
-    words = dict.fromkeys([*HEAD, *(name for message in wanted for name in message.columns)])
-    for name in columns or ():
-        if name not in words:
-            where = " and ".join(message.name for message in wanted)
-            raise MessageError(f"no column {name!r} in {where}; known columns: {', '.join(words)}")
+def read(
+    capture: StrPath, *, messages: Sequence[str] | None = None, columns: Sequence[str] | None = None, **how: Any
+) -> Flight:
+    """Read a capture with tshark and the plugin.
+
+    messages: names of messages, ["motor"]; columns: names of columns besides the time, ["rpm_measured"]; None for all.
+    What is not wanted is not read.
+
+    What is left out is a warning: the rest of a damaged capture, messages that were not decoded.
+    Returns a Flight. Raises YappError; MessageError, with the words that exist, for an unknown message or column.
+    """
+    flight = read_flight(Path(capture), Tshark(**how), messages, columns)
+    for text in flight.left_out:
+        warnings.warn(f"{capture}: {text}", stacklevel=2)
+    return flight

@@ -10,10 +10,10 @@ import numpy as np
 import pyarrow as pa
 
 from .sources import controllers, source_name
-from .tables import Column, Message
+from .tables import said
 
 Record = dict[str, Any]
-Messages = Mapping[str, Message]
+Messages = Mapping[str, pa.Schema]
 # Events of one controller that are no further apart than this, in seconds, are one incident.
 TOGETHER = 2.0
 INCIDENT = ("fault", "reboot", "silence", "stale")
@@ -44,19 +44,22 @@ SERIOUS = ("fault", "reboot", "silence", "disabled", "bus", "absent", "shared") 
 CALM = 3.0  # seconds that a controller takes to be as before, after a reboot or a Command that was disabled
 
 
-def flag_of(messages: Messages, event: Record) -> Column | None:
-    """The column of the flag that an event is about."""
-    known = messages.get(event["message"])
-    if known is None or event["kind"] != "fault":
-        return None
-    flags = (column for column in known.columns.values() if column.role == "flag")
-    return next((column for column in flags if column.name.endswith(f"_{event['flag']}")), None)
+def flag_of(messages: Messages, event: Record) -> pa.Field | None:
+    """Return the column of the flag that an event is about."""
+    flags = messages.get(event["message"], ()) if event["kind"] == "fault" else ()
+    return next(
+        (column for column in flags if column.name.endswith(f"_{event['flag']}") and role(column) == "flag"), None
+    )
+
+
+def role(column: pa.Field) -> str:
+    """Return the role of a column."""
+    return said(column.metadata).get("role", "")
 
 
 def is_command(messages: Messages, message: str | None) -> bool:
     """Return whether a message has no clock of a controller: it is sent to one, or to all on a bus."""
-    known = messages.get(message or "")
-    return known is not None and not any(column.role == "clock" for column in known.columns.values())
+    return message in messages and all(role(column) != "clock" for column in messages[message or ""])
 
 
 def events_of(events: pa.Table, messages: Messages, start: int) -> list[Record]:
@@ -67,13 +70,13 @@ def events_of(events: pa.Table, messages: Messages, start: int) -> list[Record]:
     own = events.drop_columns(["time"]).append_column("at", events["time"].cast(pa.int64()))
     found: list[Record] = own.to_pylist()
     for event, controller in zip(found, controllers(found), strict=True):
-        known = messages.get(event["message"])
+        known = said(messages[event["message"]].metadata) if event["message"] in messages else {}
         event["controller"] = controller
         event["at"] = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
-        event["title"] = known.title if known else event["message"] or ""
+        event["title"] = known.get("title", event["message"] or "")
         event["who"] = source_name(event)
         event["is_command"] = is_command(messages, event["message"])
-        event["every"] = known.every or 1.0 if known else 1.0
+        event["every"] = float(known.get("every") or 1)
     return found
 
 
@@ -121,7 +124,13 @@ def fault_rows(messages: Messages, events: list[Record], end: float) -> list[Rec
             flag = flag_of(messages, event)
             # One that is cleared alone was raised before what a filter let through.
             begin = event["at"] - (event["active"] or 0.0)
-            row = _row(event, flag.title if flag else event["flag"], begin=begin, end=None, length=end - begin)
+            row = _row(
+                event,
+                said(flag.metadata)["title"] if flag else event["flag"],
+                begin=begin,
+                end=None,
+                length=end - begin,
+            )
             open_rows[key] = row
             rows.append(row)
         if event["event"] != "raised" and key in open_rows:

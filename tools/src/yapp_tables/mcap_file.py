@@ -4,44 +4,45 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 from mcap.writer import Writer
 
 from .sources import begin, by_source, times_of
-from .tables import DURATION, TIME, Column, Table
-from .writers import Target
+from .tables import DURATION, TIME, said
+from .writers import Tables, Target, seconds
 
 # MCAP has the time itself; the rest stands once, in the metadata `flight`.
 LEFT_OUT = ("time", "source_file", "flight_id")
 
 
-def write_mcap(tables: Sequence[Table], target: Target) -> None:
+def write_mcap(tables: Tables, target: Target) -> None:
     """Write a capture. A value that is absent or reserved is left out; `_special` says which. Lengths are seconds."""
-    start = begin(tables)
+    start = begin(tables.values())
     with (target.folder / f"{target.name}.mcap").open("wb") as file:
         writer: Any = Writer(file)
         writer.start(library=f"yapp-tables {version('yapp-tables')}")
-        for table in tables:
-            _write(writer, table, start)
+        for name, rows in tables.items():
+            _write(writer, name, rows, start)
         writer.finish()
 
 
-def _write(writer: Any, table: Table, start: int) -> None:
-    names = [name for name in table.rows.schema.names if name not in LEFT_OUT or table.name == "flights"]
-    schema = writer.register_schema(table.name, "jsonschema", json.dumps(_schema(table, names)).encode())
+def _write(writer: Any, name: str, table: pa.Table, start: int) -> None:
+    names = [each for each in table.schema.names if each not in LEFT_OUT or name == "flights"]
+    # As Foxglove reads it.
+    properties = {each: _property(table.schema.field(each)) for each in names}
+    about = {"title": name, "description": said(table.schema.metadata)["title"], "type": "object"}
+    schema = writer.register_schema(name, "jsonschema", json.dumps(about | {"properties": properties}).encode())
     for source, rows in by_source(table):
-        about = {"controller": source[0]} if len(source) == 1 and source[0] else {}
-        channel = writer.register_channel("/".join(("", table.name, *source)), "json", schema, about)
+        whose = {"controller": source[0]} if len(source) == 1 and source[0] else {}
+        channel = writer.register_channel("/".join(("", name, *source)), "json", schema, whose)
         for time, row in zip(times_of(rows, start).to_pylist(), _plain(rows.select(names)).to_pylist(), strict=True):
-            there = {name: value for name, value in row.items() if value is not None}
+            there = {key: value for key, value in row.items() if value is not None}
             writer.add_message(channel, time, json.dumps(there, ensure_ascii=False).encode(), time)
-            if table.name == "flights":
-                writer.add_metadata("flight", {name: str(value) for name, value in there.items()})
+            if name == "flights":
+                writer.add_metadata("flight", {key: str(value) for key, value in there.items()})
 
 
 def _plain(rows: pa.Table) -> pa.Table:
@@ -50,29 +51,19 @@ def _plain(rows: pa.Table) -> pa.Table:
         if field.type == TIME:
             rows = rows.set_column(number, field.name, rows[number].cast(pa.string()))
         if field.type == DURATION:
-            rows = rows.set_column(number, field.name, pc.divide(rows[number].cast(pa.int64()).cast(pa.float64()), 1e9))
+            rows = rows.set_column(number, field.name, seconds(rows[number]))
     return rows
 
 
-def _schema(table: Table, names: Sequence[str]) -> dict[str, Any]:
-    """A JSON schema as Foxglove reads it: an enum is a `oneOf` of constants with titles."""
-    known = {column.name: column for column in table.columns}
-    properties = {
-        name: _property(known.get(name) or Column(name, table.rows.schema.field(name).type, "")) for name in names
-    }
-    about = {"title": table.message.name, "description": table.message.title}
-    return about | {"type": "object", "properties": properties}
-
-
-def _property(column: Column) -> dict[str, Any]:
-    """Its title is the field's, its description has the unit, too; `unit` and `filter` stand by themselves."""
-    unit = "s" if column.type == DURATION else column.unit
-    title = column.title or column.name
+def _property(column: pa.Field) -> dict[str, Any]:
+    """Return what the schema says of a column; an enum is a `oneOf` of constants with titles."""
+    known = said(column.metadata)
+    unit, title = "s" if column.type == DURATION else known.get("unit", ""), known.get("title", column.name)
     about: dict[str, Any] = {"type": _type(column.type), "title": title}
     about["description"] = f"{title} [{unit}]" if unit else title
-    about |= {key: text for key, text in (("unit", unit), ("filter", column.filter)) if text}
-    if column.values:
-        about["oneOf"] = [{"title": text, "const": number} for number, text in column.values.items()]
+    about |= {key: text for key, text in (("unit", unit), ("filter", known.get("filter"))) if text}
+    if values := json.loads(known.get("values", "{}")):
+        about["oneOf"] = [{"title": text, "const": int(number)} for number, text in values.items()]
     return about
 
 

@@ -10,14 +10,15 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from plotly.offline import get_plotlyjs
 
 from . import cards
-from .errors import SetupError
+from .dataset import StrPath
+from .errors import SetupError, need
 from .flight import Flight, read_flight
 from .incidents import events_of, excused, fault_rows, faults_in, filter_of, flag_of, joined, other_rows
 from .limits import Limits
@@ -34,14 +35,22 @@ MARKS = 2_000  # of a lane and source
 HIDDEN = ("id", "controller", "other")  # columns of the summary that the page does not show
 
 
-def report(capture: Path, tshark: Tshark, page: Path, rules: Path | None = None) -> Flight:
-    """Write the page of a capture. Returns its flight. Raises YappError.
+def report(capture: StrPath, out: StrPath | None = None, *, rules: StrPath | None = None, **how: Any) -> Path:
+    """Write the page of a capture.
 
-    rules: a file of rules for -z yapp,check, whose ranges are limits.
+    out: the page, None for one named as the capture; rules: a file of rules, whose ranges are limits in the pictures.
+    Returns the page. Raises YappError.
     """
+    return write_page(Path(capture), out, rules, Tshark(**how))[0]
+
+
+def write_page(capture: Path, out: StrPath | None, rules: StrPath | None, tshark: Tshark) -> tuple[Path, Flight]:
+    """Write as `report` does. Returns the page and its flight."""
+    need("plotly", "report")
+    page = Path(out) if out else capture.with_suffix(".html")
     if not page.parent.is_dir():
         raise SetupError(f"{page} cannot be written: no folder {page.parent}")
-    limits = Limits(rules)
+    limits = Limits(Path(rules) if rules else None)
     flight = read_flight(capture, tshark, has_begin=True)
     count = faults_in(flight.events)
     told = cards.read(capture, tshark, range(1, min(count, cards.MOST) + 1))[0] if count else []
@@ -49,7 +58,7 @@ def report(capture: Path, tshark: Tshark, page: Path, rules: Path | None = None)
         write_report(flight, page, limits, told)
     except OSError as error:
         raise SetupError(f"{page} cannot be written: {error.strerror}") from error
-    return flight
+    return page, flight
 
 
 def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Record] = ()) -> None:
@@ -68,7 +77,7 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
     parts |= {"/*SUMMARY*/": html_table(heads, summary)}
     parts |= {"/*DATA*/": json.dumps(found, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")}
     parts |= {"/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8")}
-    parts |= {"/*BLOB*/": blob, "/*PLOTLY*/": packed(get_plotlyjs().encode())}
+    parts |= {"/*BLOB*/": blob, "/*PLOTLY*/": packed(need("plotly.offline", "report").get_plotlyjs().encode())}
     # Each mark once, from left to right: what stands for one may look like another.
     page = package.joinpath("report.html").read_text(encoding="utf-8")
     write_whole(path, re.sub("|".join(map(re.escape, parts)), lambda mark: parts[mark[0]], page))
@@ -166,9 +175,9 @@ class Report:
         windows = excused(events, {(row["bus"], row["id"]): source_name(row) for row in sent})
         found = samples(flight, start=self.start)
         # First the message that says most.
-        for message in sorted(flight.messages.values(), key=lambda message: -len(message.columns)):
-            flags = (flag_of(flight.messages, event) for event in events if event["message"] == message.name)
-            own = [one for one in found.values() if one.message == message.name]
+        for message in sorted(flight.messages, key=lambda name: -len(flight.messages[name])):
+            flags = (flag_of(flight.messages, event) for event in events if event["message"] == message)
+            own = [one for one in found.values() if one.message == message]
             self.pictures.add(own, {flag.name for flag in flags if flag}, windows)
         rows = fault_rows(flight.messages, events, self.end) + other_rows(events)
         self._frames(rows)

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from .sources import natural, split
+from .tables import said
 
 LATE = 2.5  # a gap is longer than this many periods, as for the plugin's yapp.late
 DEGREES = ("°C", "C", "degC")
@@ -84,16 +85,15 @@ def samples(tables: Mapping[str, pa.Table], number: int = 0, start: int = 0) -> 
     """
     found: list[Samples] = []
     for message, table in tables.items():
-        about = {each.name: _texts(each.metadata) for each in table.schema}
-        said = _texts(table.schema.metadata)
+        about, whole = {each.name: said(each.metadata) for each in table.schema}, said(table.schema.metadata)
         names = [name for name, known in about.items() if known.get("role") in ROLES]
         # A message without a clock of the controller, such as a command, may be for all of a bus: it is its own.
         is_own = any(known.get("role") == "clock" for known in about.values())
-        title = said.get("title", message)
+        title = whole.get("title", message)
         for name, rows in split(table):
             rows = rows.sort_by("time")
             times = (rows["time"].cast(pa.int64()).to_numpy() - start) / 1e9
-            every = float(said.get("every") or 0) or (float(np.median(np.diff(times))) if len(times) > 1 else 1.0)
+            every = float(whole.get("every") or 0) or (float(np.median(np.diff(times))) if len(times) > 1 else 1.0)
             columns = {each: numbers(rows[each]) for each in names}
             texts = {each: set(rows[f"{each}_text"].unique().to_pylist()) - {None} for each in names
                      if f"{each}_text" in rows.schema.names}  # fmt: skip
@@ -109,10 +109,6 @@ def samples(tables: Mapping[str, pa.Table], number: int = 0, start: int = 0) -> 
         if lead and one.names("clock") and one.controller == f"{bus or ''} 0x{number:03x}".strip():
             one.controller = lead.controller
     return {(one.controller, one.message): one for one in sorted(found, key=lambda one: natural(one.controller))}
-
-
-def _texts(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
-    return {key.decode(): text.decode() for key, text in (metadata or {}).items()}
 
 
 def joined(flights: Sequence[Mapping[tuple[str, str], Samples]]) -> dict[tuple[str, str], Samples]:

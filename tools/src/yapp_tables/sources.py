@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from .tables import Table, plain
+from .tables import is_message, plain
 
 
 def split(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
@@ -45,19 +45,19 @@ def natural(name: str) -> list[str | int]:
     return [int(word) if word.isdecimal() else word for word in re.split(r"(\d+)", name)]
 
 
-def by_source(table: Table) -> Iterator[tuple[tuple[str, ...], pa.Table]]:
+def by_source(table: pa.Table) -> Iterator[tuple[tuple[str, ...], pa.Table]]:
     """Return the rows of each source, and its name, of which bus and ID are two words.
 
     Events, faults, the summary and the flight stay together, and are called nothing.
     """
-    for name, own in split(table.rows) if table.is_message else [("", plain(table.rows))]:
-        is_named = table.is_message and own["source"][0].is_valid
+    for name, own in split(table) if is_message(table) else [("", plain(table))]:
+        is_named = is_message(table) and own["source"][0].is_valid
         yield (name,) if is_named else tuple(name.split()), own.combine_chunks()
 
 
-def begin(tables: Sequence[Table]) -> int:
+def begin(tables: Iterable[pa.Table]) -> int:
     """Return the time of the first message, in nanoseconds since 1970."""
-    return int(min(table.rows["time"][0].value for table in tables if table.is_message))
+    return int(min(rows["time"][0].value for rows in tables if is_message(rows)))
 
 
 def times_of(rows: pa.Table, start: int) -> pa.ChunkedArray:

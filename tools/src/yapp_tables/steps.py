@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .bench import Bench
 from .follow import command_of
 from .series import DEGREES, Array, Samples
 
@@ -123,10 +124,10 @@ def _crossing(times: Array, values: Array, share: float) -> float | None:
     return max(0.0, float(times[at - 1] + part * (times[at] - times[at - 1])))
 
 
-def points(found: Mapping[tuple[str, str], Samples], bench: Mapping[str, Any] | None = None) -> Iterator[Record]:
+def points(found: Mapping[tuple[str, str], Samples], bench: Bench | None = None) -> Iterator[Record]:
     """Yield a record for each hold of LEAST_POINT seconds: means behind the first second, slopes in 1/min.
 
-    bench: {"controller", "times", "columns"} of a thrust stand, with the times of the capture.
+    bench: a thrust stand, with the times of the capture.
     """
     for one, speed, when, told in followed(found):
         largest = float(np.abs(told).max())
@@ -143,9 +144,9 @@ def points(found: Mapping[tuple[str, str], Samples], bench: Mapping[str, Any] | 
                 if good.sum() > 4:
                     line = np.polyfit(one.times[use][good] / 60, one.columns[name][use][good], 1)
                     record[f"{name}_slope"] = float(line[0])
-            if bench and bench["controller"] == one.controller:
-                its = (bench["times"] >= when[first] + SETTLED) & (bench["times"] <= when[last])
-                record |= {name: _mean(values[its]) for name, values in bench["columns"].items()}
+            if bench and bench.controller == one.controller:
+                its = (bench.times >= when[first] + SETTLED) & (bench.times <= when[last])
+                record |= {name: _mean(values[its]) for name, values in bench.columns.items()}
             yield record
 
 

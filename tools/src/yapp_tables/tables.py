@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Types: what fields.json and the plugin's CSV say, as Arrow schemas and tables."""
+"""What fields.json and the plugin's CSV say, as Arrow schemas and tables. The metadata of a table describes it.
+
+Of a column: title, unit, display filter, role, and as JSON the meanings of an enum's numbers. A role is "value",
+"clock", "enum", "flags", "flag" or "text" (also an enum's meaning, a reserved value's name).
+"""
 
 from __future__ import annotations
 
 import csv
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +18,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
 
-from .errors import SetupError
 from .tshark import Export, Record
 
 # The version of a data set, `schema` in the metadata of each table: raised when a column gets another name, type or
@@ -45,53 +47,58 @@ ROLES = {
     "bool": (pa.bool_(), "flag"),
     "string": (pa.string(), "text"),
 }
-CRC_GOOD = "crc_good"
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of a table: its type, and what Parquet, MF4 and the report tell about it.
-
-    role: "value", "clock", "enum", "flags", "flag" or "text" (also an enum's meaning, a reserved value's name);
-    difference: the two columns whose difference it is.
-    """
-
-    name: str
-    type: pa.DataType
-    role: str
-    title: str = ""
-    unit: str = ""
-    filter: str = ""
-    values: dict[int, str] = field(default_factory=dict)
-    difference: tuple[str, str] | None = None
-
-    def arrow(self) -> pa.Field:
-        """The Arrow field; its metadata name title, unit, display filter and the meanings of an enum's numbers."""
-        unit = "ns" if self.type == DURATION else self.unit
-        about = {"title": self.title, "unit": unit, "filter": self.filter, "role": self.role}
-        if self.values:
-            about["values"] = json.dumps(self.values, ensure_ascii=False)
-        return pa.field(self.name, self.type, metadata={key: text for key, text in about.items() if text})
+def said(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
+    """Return the metadata of a table or a column as texts."""
+    return {key.decode(): text.decode() for key, text in (metadata or {}).items()}
 
 
-@dataclass(frozen=True)
-class Message:
-    """A message of the catalogue as fields.json describes it. every: its period in seconds, where it has one."""
-
-    name: str
-    title: str
-    every: float | None
-    columns: dict[str, Column]
+def is_message(rows: pa.Table) -> bool:
+    """Return whether rows are the messages of sources, and no events or the like."""
+    return b"every" in (rows.schema.metadata or {})
 
 
-def messages(fields: Record) -> dict[str, Message]:
-    """The catalogue in fields.json, by message name."""
-    return {
-        name: Message(
-            name, entry["title"] or name, entry.get("every"), {one.name: one for one in _columns(name, entry)}
-        )
-        for name, entry in fields["messages"].items()
-    }
+def column(name: str, type_: pa.DataType, role: str, *about: str, values: Record | None = None) -> pa.Field:
+    """Return a column. about: its title, unit and filter; values: the meanings of an enum's numbers."""
+    known = dict(zip(("title", "unit", "filter"), about, strict=False)) | {"role": role}
+    known |= {"unit": "ns"} if type_ == DURATION else {}
+    known |= {"values": json.dumps(values, ensure_ascii=False)} if values else {}
+    return pa.field(name, type_, metadata={key: text for key, text in known.items() if text})
+
+
+def messages(fields: Record) -> dict[str, pa.Schema]:
+    """Return the messages of the catalogue in fields.json by name, each with all columns."""
+    found = {}
+    for name, entry in fields["messages"].items():
+        given = {each["name"]: each for each in entry["columns"] if each["name"] not in (*HEAD, "crc_good")}
+        columns = [_column(each, given.keys()) for each in given.values()]
+        for each in differences(entry):
+            about = each["title"], each["unit"] or "", f"taurus.{name}.{each['name']}"
+            columns.append(column(each["name"], pa.float64(), "value", *about))
+        whole = {"message": name, "title": entry["title"] or name, "every": str(entry.get("every") or "")}
+        head = [pa.field(each, type_) for each, type_ in HEAD.items()]
+        found[name] = pa.schema([*head, *columns], whole | {"schema": str(SCHEMA)})
+    return found
+
+
+def differences(entry: Record) -> list[Record]:
+    """Return the values of a message that are a column `of` less a column `less`."""
+    return entry.get("differences") or []
+
+
+def _column(entry: Record, names: Iterable[str]) -> pa.Field:
+    name, kind = entry["name"], entry["type"]
+    if kind in ROLES:
+        type_, role = ROLES[kind]
+        if kind == "string" and name.removesuffix("_text").removesuffix("_special") in set(names) - {name}:
+            type_ = KIND
+    else:
+        sign = "" if entry["kind"] == "int" else "u"
+        type_ = getattr(pa, f"{sign}int{next(size for size in (8, 16, 32, 64) if size >= entry['bits'])}")()
+        role = "enum" if entry.get("values") is not None else "flags" if entry["kind"] == "flags" else "value"
+    about = entry.get("title") or name, entry.get("unit") or "", entry.get("filter") or ""
+    return column(name, type_, role, *about, values=entry.get("values"))
 
 
 def catalogue_version(fields: Record) -> str:
@@ -100,99 +107,38 @@ def catalogue_version(fields: Record) -> str:
     return f"{', '.join(fields['messages'])} ({hashlib.sha256(text.encode()).hexdigest()[:8]})"
 
 
-def _columns(message: str, entry: Record) -> list[Column]:
-    given = {each["name"]: each for each in entry["columns"] if each["name"] not in HEAD and each["name"] != CRC_GOOD}
-    columns = [_column(each, given) for each in given.values()]
-    is_number = {column.name: column.role == "value" for column in columns}
-    for each in entry.get("formulas") or ():
-        name, parts = each["name"], (each["of"], each["less"])
-        if each["operator"] == "-" and all(is_number.get(part) for part in parts) and name not in given:
-            about = {"title": each["title"], "unit": each["unit"] or "", "filter": f"taurus.{message}.{name}"}
-            columns.append(Column(name, pa.float64(), "value", difference=parts, **about))
-    return columns
+def read_rows(export: Export, name: str, flight: Record, wanted: Sequence[str] | None = None) -> pa.Table:
+    """Return the rows of one message in an export.
 
-
-def _column(entry: Record, given: Mapping[str, Record]) -> Column:
-    name, kind = entry["name"], entry["type"]
-    about = {"title": entry.get("title") or name, "unit": entry.get("unit") or "", "filter": entry.get("filter") or ""}
-    if kind in ROLES:
-        type_, role = ROLES[kind]
-        is_kind = kind == "string" and name.removesuffix("_text").removesuffix("_special") in given.keys() - {name}
-        return Column(name, KIND if is_kind else type_, role, **about)
-    if entry.get("values") is not None:
-        values = {int(number): text for number, text in entry["values"].items()}
-        return Column(name, _integer(entry), "enum", values=values, **about)
-    return Column(name, _integer(entry), "flags" if entry["kind"] == "flags" else "value", **about)
-
-
-def _integer(entry: Record) -> pa.DataType:
-    """The integer type that the field fits in."""
-    sign = "" if entry["kind"] == "int" else "u"
-    return getattr(pa, f"{sign}int{next(size for size in (8, 16, 32, 64) if size >= entry['bits'])}")()
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Where tables come from. flight_id: of the capture's content; options: with which it was decoded."""
-
-    flight_id: str
-    capture: Path
-    options: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table to write. columns: what is known of them; is_message: whether its rows are of sources."""
-
-    message: Message
-    rows: pa.Table
-    columns: list[Column]
-    is_message: bool = True
-
-    @property
-    def name(self) -> str:
-        """The name of the message."""
-        return self.message.name
-
-
-def read_rows(export: Export, message: Message, origin: Origin, wanted: Sequence[str] | None = None) -> Table:
-    """Return the rows of one message in an export. wanted: the columns besides the time, None for all."""
-    path = export.csv(message.name)
-    with path.open(encoding="utf-8", newline="") as file:
-        header = next(csv.reader(file), [])
-    strange = set(header) - message.columns.keys() - HEAD.keys() - {CRC_GOOD}
-    if strange or "time" not in header:
-        raise SetupError(f"{path.name} has columns that the plugin's fields.json does not tell: {strange or 'none'}")
-    columns = [column for name, column in message.columns.items() if wanted is None or name in wanted]
-    about = {"message": message.name, "title": message.title, "every": str(message.every or ""), "schema": str(SCHEMA)}
-    head = [pa.field(name, HEAD[name]) for name in HEAD if wanted is None or name in (*wanted, "time")]
-    schema = pa.schema(head + [column.arrow() for column in columns], metadata=about)
-    needed = {*schema.names, "time", *(name for column in columns for name in column.difference or ())}
-    needed |= {"source"} & {"source" for name in schema.names if name == "controller"}
-    found = _read_csv(path, [name for name in header if name in needed], message)
-    given = dict(zip(found.schema.names, found.columns, strict=True))
-    given |= {"time": _nanoseconds(given["time"]).cast(TIME), "controller": given.get("source")}
-    given |= {"source_file": repeated(origin.capture.name, len(found))}
-    given |= {"flight_id": repeated(origin.flight_id, len(found))}
-    for column in columns:
-        if column.difference:
+    flight: {"source_file", "flight_id"}; wanted: the columns besides the time, None for all.
+    """
+    whole, path = messages(export.fields)[name], export.csv(name)
+    names = [each for each in whole.names if wanted is None or each in (*wanted, "time")]
+    schema = pa.schema([whole.field(each) for each in names], whole.metadata)
+    less = {each["name"]: (each["of"], each["less"]) for each in differences(export.fields["messages"][name])}
+    needed = {*names, "source", *(part for each in names for part in less.get(each, ()))}
+    given = _read_csv(path, whole, needed)
+    count = len(given["time"])
+    given |= {key: repeated(text, count) for key, text in flight.items()} | {"controller": given["source"]}
+    for field in schema:
+        if field.name in less:
             # Nine digits: 0.3, not 0.30000000000000004, for 0.8 less 0.5.
-            of, less = (given[name].cast(pa.float64()) for name in column.difference)
-            given[column.name] = pc.round(pc.subtract(of, less), 9)
-        elif column.type == DURATION and column.name in given:
-            given[column.name] = _nanoseconds(given[column.name]).cast(DURATION)
-    cells = [
-        pa.nulls(len(found), field.type) if given.get(field.name) is None else given[field.name] for field in schema
-    ]
-    return Table(message, pa.table(cells, schema=schema).unify_dictionaries(), columns)
+            both = (given[part].cast(pa.float64()) for part in less[field.name])
+            given[field.name] = pc.round(pc.subtract(*both), 9)
+        elif field.type in (TIME, DURATION) and field.name in given:
+            # Seconds as text with nine digits are nanoseconds once the point is gone.
+            given[field.name] = pc.replace_substring(given[field.name], ".", "").cast(pa.int64()).cast(field.type)
+    cells = [given[each.name] if each.name in given else pa.nulls(count, each.type) for each in schema]
+    return pa.table(cells, schema=schema).unify_dictionaries()
 
 
-def _read_csv(path: Path, names: Sequence[str], message: Message) -> pa.Table:
-    """Read these columns of a table of the plugin. An empty cell is null."""
-    types = {column.name: column.type for column in message.columns.values()} | HEAD
-    types = {name: pa.string() if type_ in (TIME, DURATION) else type_ for name, type_ in types.items()}
+def _read_csv(path: Path, schema: pa.Schema, needed: set[str]) -> dict[str, pa.ChunkedArray]:
+    """Return these columns of a table of the plugin, times as text. An empty cell is null."""
+    with path.open(encoding="utf-8", newline="") as file:
+        names = [name for name in next(csv.reader(file)) if name in needed]
+    types = {field.name: pa.string() if field.type in (TIME, DURATION) else field.type for field in schema}
     has_text = any(types[name] == pa.string() and name != "time" for name in names)
-    return arrow_csv.read_csv(
+    found = arrow_csv.read_csv(
         path,
         # One thread: a fleet has a capture for every core.
         read_options=arrow_csv.ReadOptions(use_threads=False),
@@ -205,16 +151,12 @@ def _read_csv(path: Path, names: Sequence[str], message: Message) -> pa.Table:
             quoted_strings_can_be_null=False,
         ),
     )
+    return dict(zip(found.schema.names, found.columns, strict=True))
 
 
-def _nanoseconds(seconds: pa.ChunkedArray) -> Any:
-    """Seconds as text with nine digits are nanoseconds once the point is gone."""
-    return pc.replace_substring(seconds, ".", "").cast(pa.int64())
-
-
-def present(export: Export) -> list[Message]:
-    """The messages that the export has rows of, in the catalogue's order."""
-    return [message for message in messages(export.fields).values() if has_rows(export.csv(message.name))]
+def present(export: Export) -> list[str]:
+    """Return the messages that the export has rows of, in the catalogue's order."""
+    return [name for name in export.fields["messages"] if has_rows(export.csv(name))]
 
 
 def nothing_in(capture: Path, export: Export, filter_: str | None = None) -> str:
@@ -238,6 +180,6 @@ def plain(table: pa.Table) -> pa.Table:
     return table.cast(pa.schema(fields, metadata=table.schema.metadata))
 
 
-def repeated(text: str, count: int) -> pa.Array:
+def repeated(text: str, count: int) -> Any:
     """Return a column of texts that are all this one."""
     return pa.repeat(text, count).dictionary_encode() if count else pa.array([], KIND)

@@ -43,8 +43,7 @@ class Export:
     """What one run left behind: `<message>.csv` and `fields.json` in folder, and the lines of the other statistics.
 
     partial: tshark's reason where the capture is damaged; lacks: sentences on what the plugin leaves out: messages that
-    were not decoded, unreliable events, a preference that it cannot read; notes: what else it says, of copies;
-    said: what this package says, of a bench.
+    were not decoded, unreliable events, a preference that it cannot read; notes: what else it says, of copies.
     """
 
     folder: Path
@@ -53,7 +52,6 @@ class Export:
     partial: str | None = None
     lacks: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    said: list[str] = field(default_factory=list)
 
     def csv(self, message: str) -> Path:
         """Where the rows of a message are, whether or not there are any."""

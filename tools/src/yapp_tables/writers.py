@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,10 +12,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pyarrow import csv as arrow_csv
 
-from .tables import DURATION, KIND, Table
+from .tables import DURATION, KIND
 
 ROW_GROUP = 100_000
-CSV_TYPES = {KIND: pa.string(), DURATION: pa.float64()}
 
 
 @dataclass(frozen=True)
@@ -28,30 +27,30 @@ class Target:
     flight_id: str
 
 
-Writer = Callable[[Sequence[Table], Target], None]
+Tables = Mapping[str, pa.Table]
+Writer = Callable[[Tables, Target], None]
 
 
-def write_parquet(tables: Sequence[Table], target: Target) -> None:
+def write_parquet(tables: Tables, target: Target) -> None:
     """Write Parquet with row groups of at most ROW_GROUP rows."""
-    for table in tables:
-        pq.write_table(table.rows, _path(target, table, "parquet"), ROW_GROUP, compression="zstd")
+    for name, rows in tables.items():
+        pq.write_table(rows, _path(target, name, "parquet"), ROW_GROUP, compression="zstd")
 
 
-def write_csv(tables: Sequence[Table], target: Target) -> None:
+def write_csv(tables: Tables, target: Target) -> None:
     """Write CSV with one header row; time as UTC with nine digits, lengths in seconds; absent values are empty."""
-    for table in tables:
-        cells = [_cells(cells, CSV_TYPES.get(cells.type, cells.type)) for cells in table.rows.columns]
-        arrow_csv.write_csv(pa.table(cells, table.rows.schema.names), _path(target, table, "csv"))
+    for name, rows in tables.items():
+        cells = [seconds(each) if each.type == DURATION else each for each in rows.columns]
+        cells = [each.cast(pa.string()) if each.type == KIND else each for each in cells]
+        arrow_csv.write_csv(pa.table(cells, rows.schema.names), _path(target, name, "csv"))
 
 
-def _cells(cells: pa.ChunkedArray, type_: pa.DataType) -> pa.ChunkedArray:
-    """Return cells as CSV has them. A double has the nanoseconds of eleven days."""
-    if cells.type == DURATION:
-        return pc.divide(cells.cast(pa.int64()).cast(pa.float64()), 1e9)
-    return cells.cast(type_)
+def seconds(cells: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return durations as numbers. A double has the nanoseconds of eleven days."""
+    return pc.divide(cells.cast(pa.int64()).cast(pa.float64()), 1e9)
 
 
-def _path(target: Target, table: Table, suffix: str) -> Path:
-    path = target.folder / f"message={table.name}" / f"{target.name}.{suffix}"
+def _path(target: Target, name: str, suffix: str) -> Path:
+    path = target.folder / f"message={name}" / f"{target.name}.{suffix}"
     path.parent.mkdir()
     return path
