@@ -12,7 +12,7 @@ import numpy as np
 import pairs
 import pytest
 from running import PLUGIN, run_tables
-from yapp_tables.intervals import Change, change, more_often, quantile, shift, slope
+from yapp_tables.intervals import change, more_often, quantile, slope
 
 
 @pytest.fixture(scope="module")
@@ -154,13 +154,6 @@ def test_events_in_bursts_count_as_fewer():
     assert more_often(0, 20, 0.5, 10.0) == pytest.approx(0.25)
 
 
-def test_a_shift_between_two_curves():
-    times = np.arange(2000) / 10
-    lag = shift(times, lambda length: (np.sin(times - 0.137) - np.sin(times - length)) ** 2, np.arange(0, 1, 0.01))
-    assert lag[0] == pytest.approx(0.137, abs=0.001)
-    assert shift(times[:100], lambda length: times[:100] * length, np.arange(0, 1, 0.01)) is None
-
-
 def test_a_robust_slope():
     rng = np.random.default_rng(1)
     x = np.arange(40.0)
@@ -169,7 +162,3 @@ def test_a_robust_slope():
     each, low, high = slope(x, y)
     assert low < 0.3 < high
     assert abs(each - 0.3) < 0.05
-
-
-def test_beyond_others():
-    assert Change(3.0, 0.3, 20).less(1.0, 0.4) == Change(2.0, 0.5, 20)

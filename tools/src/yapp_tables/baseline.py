@@ -110,7 +110,7 @@ def learn(captures: Sequence[Path], tshark: Tshark, margin: float) -> tuple[str,
         head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=margin * 100)
         # The gate itself says which rules these flights keep, and what part of the values is reserved.
         text = _text(head, [*rules, *shares, *constants])
-        verdicts = pool.map(lambda capture: _judge(capture, tshark, text), captures)
+        verdicts = pool.map(lambda capture: tshark.ask(capture, ["check,rules=rules,json"], text)[0], captures)
         _mark_lost([*rules, *shares, *constants], dict(zip((one.name for one in flights), verdicts, strict=True)))
     rules += [rule for rule in shares if _learn_share(rule, margin)]
     rules += [rule for rule in constants if rule.seen and not rule.lost]
@@ -128,12 +128,6 @@ def _read(capture: Path, name: str, tshark: Tshark) -> Good:
         names = {(row["bus"], row["id"]): row["source"] or "" for row in export.records["summary"]}
         own = [(names.get(next(iter(one.ids)), ""), one) for one in samples(flight, start=start).values()]
         return Good(name, export.records, export.lacks, export.fields, own)
-
-
-def _judge(capture: Path, tshark: Tshark, text: str) -> list[Record]:
-    with scratch() as folder:
-        (folder / "rules").write_text(text, encoding="utf-8")
-        return tshark.ask(capture, str(folder), ["check,rules=rules,json"])[0]
 
 
 def _summed(flights: Sequence[Good]) -> Iterator[Finding]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import re
 import sys
 from collections.abc import Iterable, Sequence
@@ -192,7 +193,9 @@ def _case(given: argparse.Namespace) -> int:
 def _diff(given: argparse.Namespace) -> int:
     from . import diff  # its libraries take a while
 
-    before, after = diff.captures_of(given.before), diff.captures_of(given.after)
+    sides = [sorted(filter(os.path.isfile, Path(side).iterdir())) if os.path.isdir(side) else side
+             for side in (given.before, given.after)]  # fmt: skip
+    before, after = map(find, sides)
     found = diff.compare(before, after, _tshark(given), Path(given.rules) if given.rules else None)
     if given.junit:
         write_whole(Path(given.junit), diff.junit(found))

@@ -3,66 +3,73 @@
 
 from __future__ import annotations
 
-import glob
 import html
 import json
 import math
-import os
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 from tqdm import tqdm
 
 from . import pages
-from .errors import SetupError, count_of
+from .errors import count_of
 from .flight import Flight, read_flight
-from .follow import SHAPES, Following
-from .intervals import BLOCK, Change, change, more_often, shift
-from .load import Load, load_bins, terms
-from .scratch import scratch
+from .follow import Following, responses
+from .intervals import BLOCK, LEAST_BLOCKS, Change, change, more_often
+from .load import Load, dependent
 from .series import APART, DEGREES, Array, Samples, joined, samples
 from .sources import controllers, source_name
-from .tshark import Tshark
+from .tshark import Record, Tshark
 
-Record = dict[str, Any]
 LEAST_SECONDS, LEAST_COMMON = 20.0, 0.3  # of a run; share of its samples at loads of both
 CHANCE, CHANCE_OF_EVENTS = 0.02, 0.04  # that one of all comparisons is called worse by chance
-# The least change that counts: relative where it is a multiple, else in the unit.
-LEAST = {"A": 0.015, "°C": 1.5, "%": 2.0, "jitter": 0.3, "rate": 0.02, "lag": 20.0}
 LEAST_OF_ALL = 0.02  # of a multiple that all controllers have: it may be the wind
 MANY = 3  # flights of each side, over which wind and weather are even
 ALIKE = "it may be the weather: three flights of each side would tell"
-LAGS = np.arange(-0.2, 1.2, 0.01)
 # Events that are no fault of a controller's, or have a comparison of their own.
 OTHER_EVENTS = ("fault", "unknown", "absent", "clock", "unfinished", "shared")
 LOSSES = ("incomplete", "crc", "missing", "skipped", "dropped", "stale")
 ORDER = {"worse": 0, "changed": 1, "better": 2}
 
 
+@dataclass(frozen=True)
+class Kind:
+    """A kind of value. least: the least change that counts, relative where it is a multiple, else in the unit."""
+
+    least: float
+    is_multiple: bool = False
+    worse: int = 1  # the sign of a change that is worse
+    has_load: bool = False
+
+
+KINDS = {
+    "A": Kind(0.015, is_multiple=True, has_load=True),
+    "°C": Kind(1.5, has_load=True),
+    "%": Kind(2.0, has_load=True),
+    "jitter": Kind(0.3, is_multiple=True),
+    "rate": Kind(0.02, is_multiple=True, worse=-1),
+    "lag": Kind(20.0),
+}
+
+
 @dataclass
 class Run:
-    """One side: its flights, their messages by (controller, message), and what tshark says of them."""
+    """One side: its flights, their messages by (controller, message), and what tshark says of them.
+
+    seconds: how long the flights are, without the time between them.
+    """
 
     name: str
     flights: list[Flight] = field(default_factory=list)
+    seconds: float = 0.0
     samples: dict[tuple[str, str], Samples] = field(default_factory=dict)
     events: list[Record] = field(default_factory=list)
     sizes: dict[tuple[str, str], set[int]] = field(default_factory=lambda: defaultdict(set))
     verdicts: list[Record] = field(default_factory=list)
-
-    def seconds(self) -> float:
-        """Return how long the flights are, without the time between them."""
-        longest: dict[float, float] = defaultdict(float)
-        for one in self.samples.values():
-            for number in np.unique(one.times // APART):
-                longest[number] = max(longest[number], float(np.ptp(one.times[one.times // APART == number])))
-        return sum(longest.values())
 
     def where(self, one: Samples, at: int) -> Record:
         """Return file, frame and time of a sample."""
@@ -70,18 +77,23 @@ class Run:
         return {"file": flight.name, "frame": int(one.frames[at]), "time": round(float(one.times[at] % APART), 3)}
 
 
-@dataclass
 class Pair:
-    """A message of a controller in both runs. times, is_after: (n), of all samples of BEFORE, then of AFTER."""
+    """A message of a controller in both runs. times, is_after: (n), of all samples of BEFORE, then of AFTER.
 
-    runs: tuple[Run, Run]
-    sides: tuple[Samples, Samples]
-    loads: tuple[Load, Load] | None = None
+    loads: of both runs, of the controller; None where its speed is unknown.
+    """
 
-    def __post_init__(self) -> None:
+    def __init__(self, runs: tuple[Run, Run], sides: tuple[Samples, Samples]) -> None:
         """Put the times of both behind each other."""
-        self.times = np.concatenate([one.times for one in self.sides])
-        self.is_after = np.repeat([False, True], [len(one.times) for one in self.sides])
+        self.runs, self.sides, self.loads = runs, sides, [Load.of(one) for one in sides]
+        self.controller, self.title = sides[0].controller, sides[0].title
+        self.times = np.concatenate([one.times for one in sides])
+        self.is_after = np.repeat([False, True], [len(one.times) for one in sides])
+
+    def load(self) -> Load | None:
+        """Return the load at the times of both."""
+        both = [load.at(one.times) for load, one in zip(self.loads, self.sides, strict=True) if load]
+        return Load.joined(both) if len(both) == 2 else None
 
     def column(self, name: str) -> Array:
         """Return the values of both, (n)."""
@@ -89,22 +101,19 @@ class Pair:
 
     def change(self, values: Array, good: Array, load: Array | None = None) -> Change | None:
         """Return how much higher the good values are AFTER."""
-        load = None if load is None else load[good]
-        return change(self.times[good], values[good], self.is_after[good], load)
+        return change(self.times[good], values[good], self.is_after[good], None if load is None else load[good])
 
-    def begins(self) -> tuple[Record, Record]:
+    def begins(self) -> list[Record]:
         """Return the first sample of each run."""
-        return self.runs[0].where(self.sides[0], 0), self.runs[1].where(self.sides[1], 0)
+        return [run.where(own, 0) for run, own in zip(self.runs, self.sides, strict=True)]
 
-    def typical(self, good: Array, values: Array) -> tuple[Record, Record]:
+    def typical(self, good: Array, values: Array) -> list[Record]:
         """Return where each run has the good value that is nearest to its own median."""
         places = []
-        for side, (run, own) in enumerate(zip(self.runs, self.sides, strict=True)):
-            part = values[self.is_after == bool(side)]
-            at = np.flatnonzero(good[self.is_after == bool(side)])
-            nearest = at[np.argmin(np.abs(part[at] - np.median(part[at])))]
-            places.append(run.where(own, int(nearest)))
-        return places[0], places[1]
+        for run, own, its in zip(self.runs, self.sides, (~self.is_after, self.is_after), strict=True):
+            away = np.abs(values[its] - np.median(values[its & good]))
+            places.append(run.where(own, int(np.argmin(np.where(good[its], away, np.inf)))))
+        return places
 
 
 @dataclass
@@ -119,7 +128,7 @@ class Finding:
     unit: str = ""
     numbers: Sequence[float | None] = (None,) * 5
     weight: float = 1.0
-    at: tuple[Record, Record] = ({}, {})
+    at: Sequence[Record] = ({}, {})
 
     def record(self) -> Record:
         """Return a JSON line."""
@@ -155,19 +164,10 @@ class Comparison:
         return 21 if self.reason or any(flight.left_out for run in self.runs for flight in run.flights) else 0
 
 
-def captures_of(given: str) -> list[Path]:
-    """Return the captures that one side of the command means: a file, a folder, or a pattern. Raises SetupError."""
-    path = Path(given)
-    names = sorted(map(str, path.iterdir())) if path.is_dir() else sorted(glob.glob(given, recursive=True)) or [given]
-    found = [Path(os.path.abspath(name)) for name in names if not Path(name).is_dir()]
-    if not found:
-        raise SetupError(f"no capture in {given}: name a capture, a folder of them, or a pattern in quotes")
-    return found
-
-
 def compare(before: Sequence[Path], after: Sequence[Path], tshark: Tshark, rules: Path | None = None) -> Comparison:
     """Return what differs between two runs, each of one or several captures. Raises YappError."""
-    found = Comparison((_read("BEFORE", before, tshark, rules), _read("AFTER", after, tshark, rules)))
+    text = rules.read_text(encoding="utf-8") if rules else ""
+    found = Comparison((_read("BEFORE", before, tshark, text), _read("AFTER", after, tshark, text)))
     for run in found.runs:
         said = dict.fromkeys(text for flight in run.flights for text in flight.left_out)
         found.notes += [f"{run.name}: {text}" for text in said]
@@ -178,17 +178,18 @@ def compare(before: Sequence[Path], after: Sequence[Path], tshark: Tshark, rules
     return found
 
 
-def _read(name: str, captures: Sequence[Path], tshark: Tshark, rules: Path | None) -> Run:
+def _read(name: str, captures: Sequence[Path], tshark: Tshark, rules: str) -> Run:
     found, run = [], Run(name)
     for number, capture in enumerate(tqdm(captures, desc=name, unit="flight", disable=None, leave=False)):
         flight = read_flight(capture, tshark, has_begin=True)
-        own = samples(flight, number, flight.start())
+        start, own = flight.start(), samples(flight, number, flight.start())
         run.flights.append(flight)
+        run.seconds += max(float(np.ptp(one.times)) for one in own.values())
         found.append(own)
         keys = {ids: key for key, one in own.items() for ids in one.ids}
         events = flight.events.append_column("at", flight.events["time"].cast("int64")).drop_columns("time").to_pylist()
         for event, who in zip(events, controllers(events), strict=True):
-            at = 0.0 if event["at"] is None else (event["at"] - flight.start()) / 1e9
+            at = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
             known = keys.get((event["bus"], event["id"]))
             event |= {"at": {"file": flight.name, "frame": event["frame"], "time": round(at, 3)}}
             event["who"] = known[0] if known else who if isinstance(who, str) else source_name(event)
@@ -197,9 +198,7 @@ def _read(name: str, captures: Sequence[Path], tshark: Tshark, rules: Path | Non
             if key := keys.get((bus or None, int(ident, 0))):
                 run.sizes[key].add(int(size))
         if rules:
-            with scratch() as folder:
-                (folder / "rules").write_text(rules.read_text(encoding="utf-8"), encoding="utf-8")
-                run.verdicts += tshark.ask(capture, str(folder), ["check,rules=rules,json"])[0]
+            run.verdicts += tshark.ask(capture, ["check,rules=rules,json"], rules)[0]
     run.samples = joined(found)
     return run
 
@@ -208,28 +207,27 @@ def _reason(found: Comparison) -> str:
     """Return why the runs cannot be compared; empty where they can, with their pairs, and what they have in common."""
     before, after = found.runs
     for run in found.runs:
-        if run.seconds() < LEAST_SECONDS:
-            return f"{run.name} lasts {run.seconds():.3g} s; {LEAST_SECONDS:g} s are needed"
+        if run.seconds < LEAST_SECONDS:
+            return f"{run.name} lasts {run.seconds:.3g} s; {LEAST_SECONDS:g} s are needed"
     only = [
-        f"{who} ({one.samples[who, message].title}) is in {one.name} only"
+        f"{key[0]} ({one.samples[key].title}) is in {one.name} only"
         for one, other in ((before, after), (after, before))
-        for who, message in one.samples
-        if (who, message) not in other.samples
+        for key in one.samples
+        if key not in other.samples
     ]
     if only:
         return f"the controllers differ: {'; '.join(only[:4])}; name them alike with -o yapp.sources"
     found.pairs = [Pair(found.runs, (one, after.samples[key])) for key, one in before.samples.items()]
-    loads = {pair.sides[0].controller: _loads(pair) for pair in found.pairs if pair.sides[0].speed()}
-    shares: list[list[float]] = [[], []]
+    leads = {pair.controller: pair for pair in found.pairs if all(pair.loads)}
     for pair in found.pairs:
-        pair.loads = loads.get(pair.sides[0].controller)
-        if pair.loads and pair.sides[0].speed():
-            common, moving = terms(*pair.loads, False)[1], bins_of_both(pair.loads) >= 0
-            for side, own in enumerate(shares):
-                use = pair.is_after == bool(side)
-                own.append(float(common[use].sum() / max(moving[use].sum(), 1)))
-    if shares[0]:
-        low, high = (float(np.median(own)) for own in shares)
+        pair.loads = leads.get(pair.controller, pair).loads
+    shares = []
+    for pair in leads.values():
+        if load := pair.load():
+            common, moving = load.common(pair.is_after), load.bins() >= 0
+            shares.append([common[its].sum() / max(moving[its].sum(), 1) for its in (~pair.is_after, pair.is_after)])
+    if shares:
+        low, high = np.median(shares, axis=0)
         both = f"{low:.0%} of BEFORE and {high:.0%} of AFTER are at a speed and voltage that both have"
         if min(low, high) < LEAST_COMMON:
             return f"too few loads in common: {both}; fly the same manoeuvres"
@@ -237,74 +235,52 @@ def _reason(found: Comparison) -> str:
     return ""
 
 
-def _loads(pair: Pair) -> tuple[Load, Load] | None:
-    one, other = (Load.of(side) for side in pair.sides)
-    return None if one is None or other is None else (one, other)
-
-
-def bins_of_both(loads: tuple[Load, Load]) -> Array:
-    """Return the bins of the samples of both runs, one behind the other."""
-    speed, volts = (np.concatenate([getattr(load, name) for load in loads]) for name in ("speed", "volts"))
-    return load_bins(speed, volts)
-
-
 @dataclass
 class _Measured:
-    """A value of a controller in both runs. least: a key of LEAST; base: the value BEFORE, in the unit;
-    worse: the sign of a change that is worse; beside: the change beyond what two or more others have."""
+    """A value of a controller in both runs. kind: a key of KINDS; base: the value BEFORE, in the unit;
+    beside: the change beyond what two or more others have."""
 
     controller: str
     title: str
     unit: str
-    least: str
-    is_multiple: bool
+    kind: str
     change: Change
     base: float
-    at: tuple[Record, Record]
-    worse: int = 1
+    at: list[Record]
     beside: Change | None = None
 
 
 def _values(found: Comparison) -> Iterator[Finding]:
     """Compare values at equal load, intervals between messages, and how a command is followed."""
-    measured: list[_Measured] = []
-    for pair in found.pairs:
-        for name in pair.sides[0].names("value", "A", "%", *DEGREES):
-            measured += _value(pair, name)
-        measured += _intervals(pair)
-        measured += _lag(pair)
+    measured = [one for pair in found.pairs for one in (*_at_load(pair), *_intervals(pair), *_lag(pair))]
     found.compared += [(one.controller, one.title) for one in measured]
     yield from _judged(measured, min(len(run.flights) for run in found.runs) >= MANY)
 
 
-def _value(pair: Pair, name: str) -> Iterator[_Measured]:
-    """Compare a value at equal load. Speed is the load itself; power follows from current."""
-    one = pair.sides[0]
-    unit, title = one.unit_of(name), one.title_of(name)
-    is_load = name in (one.speed() or ()) or name.endswith(("_commanded", "_error"))
-    if is_load or not one.names("clock") or name not in pair.sides[1].columns:
-        return
-    values = pair.column(name)
-    load, common = None, np.ones(len(values), bool)
-    if pair.loads:
-        at = [load.at(side.times) for load, side in zip(pair.loads, pair.sides, strict=True)]
-        load, common = terms(at[0], at[1], unit in DEGREES)
-    good = common & np.isfinite(values)
-    shown, is_multiple = values, unit == "A"
-    if is_multiple:
-        if not good.any() or (values[good] > 0).mean() <= 0.98:
-            return  # a current of both signs has no multiple
-        good &= values > 0.1 * np.nanmedian(values[good])
-        shown = np.log(np.where(good, values, 1.0))
-    result = pair.change(shown, good, load)
-    if result is None:
-        return
-    beside, usual = None, [_usual(pair, side, name, is_multiple) for side in (0, 1)]
-    if unit != "%" and len(usual[0]) and len(usual[1]):
-        beside = pair.change(shown - np.concatenate(usual), good, load)
-    base, least = float(values[good & ~pair.is_after].mean()), "°C" if unit in DEGREES else unit
-    at_both = pair.typical(good, values)
-    yield _Measured(one.controller, title, unit, least, is_multiple, result, base, at_both, beside=beside)
+def _at_load(pair: Pair) -> Iterator[_Measured]:
+    """Compare each value at equal load. A current is compared as a multiple, if it has one sign."""
+    one, load = pair.sides[0], pair.load()
+    for name, kind in dependent(one) if one.names("clock") else ():
+        if name not in pair.sides[1].columns:
+            continue
+        values = pair.column(name)
+        terms, good = None, np.isfinite(values)
+        if load:
+            unit = max(float(np.nanmax(load.speed, initial=1.0)), 1.0)
+            terms, good = load.curve(unit, kind == "°C"), good & load.common(pair.is_after)
+        shown = values
+        if kind == "A":
+            if not good.any() or (values[good] > 0).mean() <= 0.98:
+                continue
+            good &= values > 0.1 * np.nanmedian(values[good])
+            shown = np.log(np.where(good, values, 1.0))
+        if result := pair.change(shown, good, terms):
+            usual = [_usual(pair, side, name, kind == "A") for side in (0, 1)] if kind != "%" else []
+            has_others = all(map(len, usual)) and kind != "%"
+            beside = pair.change(shown - np.concatenate(usual), good, terms) if has_others else None
+            base = float(values[good & ~pair.is_after].mean())
+            title, unit_ = one.title_of(name), one.unit_of(name)
+            yield _Measured(pair.controller, title, unit_, kind, result, base, pair.typical(good, values), beside)
 
 
 def _usual(pair: Pair, side: int, name: str, is_multiple: bool) -> Array:
@@ -326,17 +302,16 @@ def _usual(pair: Pair, side: int, name: str, is_multiple: bool) -> Array:
 
 def _intervals(pair: Pair) -> Iterator[_Measured]:
     """Compare the period, and how much single intervals differ from it; silences and losses are events."""
-    who, title = pair.sides[0].controller, pair.sides[0].title
     if min(len(one.times) for one in pair.sides) < 50:
         return
     gaps = np.concatenate([one.gaps() for one in pair.sides])
-    periods = [float(np.nanmedian(gaps[pair.is_after == side])) for side in (False, True)]
+    periods = [float(np.nanmedian(gaps[its])) for its in (~pair.is_after, pair.is_after)]
     period = np.where(pair.is_after, periods[1], periods[0])
     good = np.isfinite(gaps) & (gaps < 1.7 * period)
     at = pair.typical(good, gaps)
     rate = pair.change(-np.log(np.maximum(gaps, 1e-6)), good)
     if rate:
-        yield _Measured(who, f"rate of {title}", "Hz", "rate", True, rate, 1 / periods[0], at, worse=-1)
+        yield _Measured(pair.controller, f"rate of {pair.title}", "Hz", "rate", rate, 1 / periods[0], at)
     keys, block = np.unique(np.floor(pair.times / BLOCK) * 2 + pair.is_after, return_inverse=True)
     count = np.bincount(block, good)
     spread = np.bincount(block, np.where(good, np.abs(gaps - period), 0.0)) / np.maximum(count, 1)
@@ -344,29 +319,19 @@ def _intervals(pair: Pair) -> Iterator[_Measured]:
     is_after, logs = keys[known] % 2 > 0, np.log(spread[known])
     if jitter := change(keys[known] // 2 * BLOCK, logs, is_after):
         base = float(np.exp(logs[~is_after].mean())) * 1e3
-        yield _Measured(who, f"jitter of {title}", "ms", "jitter", True, jitter, base, at)
+        yield _Measured(pair.controller, f"jitter of {pair.title}", "ms", "jitter", jitter, base, at)
 
 
 def _lag(pair: Pair) -> Iterator[_Measured]:
-    """Compare how long after its command a value follows, with one shape of the response for both runs."""
-    one, speed = pair.sides[0], pair.sides[0].speed()
-    if speed is None or speed[0] not in pair.sides[1].columns:
-        return
-    both = [Following.of(run.samples, side) for run, side in zip(pair.runs, pair.sides, strict=True)]
-    runs = [run for run in both if run]
-    if len(runs) < 2:
-        return
-    sums = [sum(run.least(shape, LAGS[::5]) for run in runs) for shape in range(len(SHAPES))]
-    shape = int(np.argmin(sums))
-    results = [found for run in runs if (found := shift(run.times, partial(run.squares, shape), LAGS))]
-    if len(results) < 2:
-        return
-    (before, first, count), (after, second, many) = results
-    result = Change((after - before) * 1e3, math.hypot(first, second) * 1e3, 2 * min(count, many) - 2)
-    title = f"response of {one.title_of(speed[0])} to its command"
-    yield _Measured(
-        one.controller, title, "ms", "lag", False, result, (before + SHAPES[shape]) * 1e3, pair.begins()
-    )  # fmt: skip
+    """Compare how long after its command a value follows."""
+    runs = [Following.of(run.samples, side) for run, side in zip(pair.runs, pair.sides, strict=True)]
+    found = responses([run for run in runs if run]) if all(runs) else []
+    if found and min(count for *_, count in found) >= LEAST_BLOCKS:
+        (before, first, count), (after, second, many) = found
+        result = Change((after - before) * 1e3, math.hypot(first, second) * 1e3, 2 * min(count, many) - 2)
+        speed = pair.sides[0].speed() or ("",)
+        title = f"response of {pair.sides[0].title_of(speed[0])} to its command"
+        yield _Measured(pair.controller, title, "ms", "lag", result, before * 1e3, pair.begins())
 
 
 def _judged(measured: list[_Measured], is_many: bool) -> Iterator[Finding]:
@@ -377,40 +342,36 @@ def _judged(measured: list[_Measured], is_many: bool) -> Iterator[Finding]:
     chance = CHANCE / max(1, len(measured))
     groups: dict[tuple[str, str], list[_Measured]] = defaultdict(list)
     for one in measured:
-        groups[one.title, one.least].append(one)
-    # A constant knows no weather.
-    warm = [
-        group for (_, least), group in groups.items() if least == "°C" and any(one.change.error > 0.02 for one in group)
-    ]
-    shifts = [float(np.median([one.change.value for one in group])) for group in warm]
+        groups[one.title, one.kind].append(one)
     # By how much it was warmer: what all temperatures that move have in common, the least of them.
-    weather = min(shifts, key=abs) if len(shifts) > 1 else 0.0
-    for (_, least), group in groups.items():
-        values = np.array([one.change.value for one in group])
-        cause = weather if any(group is one for one in warm) else 0.0
+    warm = {title: float(np.median([one.change.value for one in group])) for (title, kind), group in groups.items()
+            if kind == "°C" and any(one.change.error > 0.02 for one in group)}  # fmt: skip
+    weather = min(warm.values(), key=abs) if len(warm) > 1 else 0.0
+    for (title, name), group in groups.items():
+        kind, cause = KINDS[name], weather if title in warm and name == "°C" else 0.0
         has_peers = all(one.beside for one in group)
         if has_peers:
+            values = np.array([one.change.value for one in group])
             middle = float(np.median(values))
             error = 1.25 * float(np.median([one.change.error for one in group])) / math.sqrt(len(group))
             whole = Change(middle - cause, error, min(one.change.freedom for one in group))
             typical = group[int(np.argmin(np.abs(values - middle)))]
-            bound = LEAST_OF_ALL if typical.is_multiple else LEAST[least]
+            bound = LEAST_OF_ALL if kind.is_multiple else kind.least
             for finding in _finding(typical, whole, chance, bound, f"all {len(group)} controllers"):
                 if not is_many:
                     finding.kind, finding.text = "changed", f"{finding.text}; {ALIKE}"
                 yield finding
+        bound = LEAST_OF_ALL if name == "A" and not has_peers else kind.least
         for one in group:
-            bound = LEAST_OF_ALL if least == "A" and not has_peers else LEAST[least]
             yield from _finding(one, one.beside or one.change.less(cause), chance, bound, one.controller)
 
 
 def _finding(one: _Measured, change: Change, chance: float, bound: float, who: str) -> Iterator[Finding]:
     sure_low, sure_high = change.within(chance)
-    if not (sure_low > 0 or sure_high < 0) or abs(change.value) < bound:
+    if sure_low <= 0 <= sure_high or abs(change.value) < bound:
         return
-    kind = "worse" if change.value * one.worse > 0 else "better"
-    ends = (change.value, *change.within())
-    if one.is_multiple:
+    kind, ends = KINDS[one.kind], [change.value, *change.within()]
+    if kind.is_multiple:
         numbers = [math.expm1(end) for end in ends]
         now = one.base * (1 + numbers[0])
         if -0.33 < numbers[0] < 0.5:
@@ -419,19 +380,18 @@ def _finding(one: _Measured, change: Change, chance: float, bound: float, who: s
         else:
             text = f"{numbers[0] + 1:.3g} times ({numbers[1] + 1:.3g} to {numbers[2] + 1:.3g})"
     else:
-        numbers, unit = list(ends), "points" if one.unit == "%" else one.unit
+        numbers, unit = ends, "points" if one.unit == "%" else one.unit
         now = one.base + numbers[0]
         text = f"{numbers[0]:+.3g} {unit} ({numbers[1]:+.3g} to {numbers[2]:+.3g})"
-    load = " at equal load" if one.least in ("A", "°C", "%") else ""
-    others = " beyond the others" if change is one.beside else ""
-    text = f"{one.title} {text}, {one.base:.4g} -> {now:.4g} {one.unit}{load}{others}"
-    weight = abs(change.value) / bound
-    yield Finding(kind, who, one.title, text, one.unit, (one.base, now, *numbers), weight, one.at)
+    text += f", {one.base:.4g} -> {now:.4g} {one.unit}{' at equal load' * kind.has_load}"
+    text = f"{one.title} {text}{' beyond the others' * (change is one.beside)}"
+    word = "worse" if change.value * kind.worse > 0 else "better"
+    yield Finding(word, who, one.title, text, one.unit, (one.base, now, *numbers), abs(change.value) / bound, one.at)
 
 
 def _events(found: Comparison) -> Iterator[Finding]:
     """Compare how often faults, reboots, losses and the like came: new, gone, more often, less often."""
-    seconds = found.runs[0].seconds(), found.runs[1].seconds()
+    seconds = found.runs[0].seconds, found.runs[1].seconds
     share = seconds[1] / sum(seconds)
     counts: dict[tuple[str, str], tuple[list[Record], list[Record]]] = defaultdict(lambda: ([], []))
     for side, run in enumerate(found.runs):
@@ -457,9 +417,8 @@ def _events(found: Comparison) -> Iterator[Finding]:
         doubt = "; too few to tell" if kind == "changed" else ""
         text = f"{what} {word}: {few} -> {many} times, {hours[0]:.3g} -> {hours[1]:.3g} an hour{doubt}"
         weight = many / max(few, 1) + 1 if is_more else 0.5
-        at = [next((event["at"] for event in side if event["frame"]), Record()) for side in sides]
-        numbers = (*hours, hours[1] - hours[0], None, None)
-        yield Finding(kind, who, what, text, "an hour", numbers, weight, (at[0], at[1]))
+        at: list[Record] = [next((event["at"] for event in side if event["frame"]), {}) for side in sides]
+        yield Finding(kind, who, what, text, "an hour", (*hours, hours[1] - hours[0], None, None), weight, at)
 
 
 def _clumps(sides: tuple[list[Record], list[Record]], seconds: tuple[float, float]) -> float:
@@ -525,7 +484,7 @@ def lines(found: Comparison) -> Iterator[str]:
     """Yield the answer as text."""
     for run in found.runs:
         files = ", ".join(flight.name for flight in run.flights[:3]) + " ..." * (len(run.flights) > 3)
-        yield f"{run.name}: {files}, {run.seconds():.0f} s"
+        yield f"{run.name}: {files}, {run.seconds:.0f} s"
     yield from found.notes
     if found.reason:
         yield f"not comparable: {found.reason}"
@@ -567,20 +526,19 @@ def page(found: Comparison) -> str:
         return pages.page("Two runs compared", parts)
     parts.append(pages.listed([(one.kind, one.sentence()) for one in found.findings] or [("", "nothing differs")]))
     for pair in found.pairs:
-        if pair.loads is None or not pair.sides[0].speed():
+        load, one = pair.load(), pair.sides[0]
+        if load is None or not one.speed():
             continue
-        bins, speed = bins_of_both(pair.loads), np.concatenate([load.speed for load in pair.loads])
-        bins = np.where(bins >= 0, bins // 16, -1)
-        for name in pair.sides[0].names("value", "A", "W", *DEGREES, "%"):
+        bins = load.bins() // 16  # of speed; of what stands it is -1
+        for name in one.names("value", "A", "W", *DEGREES, "%"):
             rows, values = [], pair.column(name)
             for number in np.unique(bins[bins >= 0]):
                 use = (bins == number) & np.isfinite(values)
-                own = [values[use & (pair.is_after == side)] for side in (False, True)]
+                own = [values[use & its] for its in (~pair.is_after, pair.is_after)]
                 if min(map(len, own)) >= 5:
                     both = [(float(part.mean()), float(part.std())) for part in own]
-                    rows.append((f"{speed[use].min():.0f} to {speed[use].max():.0f}", both[0], both[1]))
+                    rows.append((f"{load.speed[use].min():.0f} to {load.speed[use].max():.0f}", both[0], both[1]))
             if rows:
-                about = pair.sides[0].about[name]
-                title = html.escape(f"{pair.sides[0].controller}: {about.get('title', name)}")
-                parts += [f"<h3>{title}</h3>", pages.pairs(rows, about.get("unit", ""), "speed, RPM")]
+                title = html.escape(f"{pair.controller}: {one.title_of(name)}")
+                parts += [f"<h3>{title}</h3>", pages.pairs(rows, one.unit_of(name), "speed, RPM")]
     return pages.page("Two runs compared", parts)

@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from .intervals import BLOCK
+from .load import smoothed
 from .series import APART, Array, Samples
 
 STEP = 0.01  # seconds
+LAGS = np.arange(-0.2, 1.2, 0.02)  # seconds of the delay
 # Seconds of the response's time constant.
 SHAPES = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.17, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
 
@@ -37,22 +40,18 @@ class Following:
         when, told = command_of(samples, own)
         is_sent, good = when is not own.times, np.isfinite(told)
         when, told = when[good], told[good]
-        if len(told) < 50 or float(np.std(told)) < 1e-9:
+        if not len(told):
             return None
         # Where nothing changes, nothing follows.
-        moved = np.abs(np.diff(told, prepend=told[:1])) > 0.01 * np.std(told)
-        changes = when[moved]
+        changes = when[np.abs(np.diff(told, prepend=told[:1])) > max(0.01 * np.std(told), 1e-9)]
         behind = np.searchsorted(changes, own.times, side="right") - 1
-        use = np.isfinite(own.columns[pair[0]]) & (behind >= 0)
-        use &= own.times - (changes[np.maximum(behind, 0)] if len(changes) else -np.inf) < 1.5
+        since = own.times - np.append(changes, np.inf)[behind]
+        use = np.isfinite(own.columns[pair[0]]) & (behind >= 0) & (since < 1.5)
         if use.sum() < 50:
             return None
-        times = own.times[use]
-        flights = []
-        for number in np.unique(times // APART):
-            its = when // APART == number
-            flights.append(_predicted(when[its], told[its], is_sent))
-        return cls(times, own.columns[pair[0]][use], flights, np.unique(times // APART, return_inverse=True)[1])
+        numbers, number = np.unique(own.times[use] // APART, return_inverse=True)
+        flights = [_predicted(when[when // APART == each], told[when // APART == each], is_sent) for each in numbers]
+        return cls(own.times[use], own.columns[pair[0]][use], flights, number)
 
     def squares(self, shape: int, lag: float) -> Array:
         """Return the squared distance from what is predicted with this delay, (n)."""
@@ -63,9 +62,33 @@ class Following:
             found[its] = np.interp(at, np.arange(values.shape[1]), values[shape])
         return np.asarray((self.measured - found) ** 2)
 
-    def least(self, shape: int, lags: Array) -> float:
-        """Return the least sum of squares of some delays."""
-        return float(min(self.squares(shape, lag).sum() for lag in lags))
+
+def responses(runs: Sequence[Following]) -> list[tuple[float, float, int]]:
+    """Return of each run how many seconds a value is behind its command, the error of that, and the number of blocks.
+
+    All runs have one shape of the response, each has its own delay: those of the least squares. The error is that of
+    the jackknife: each block is left out once.
+    """
+    sums = [
+        sum(min(run.squares(shape, lag).sum() for lag in LAGS[::3]) for run in runs) for shape in range(len(SHAPES))
+    ]
+    shape, found = int(np.argmin(sums)), []
+    for run in runs:
+        block = np.unique(np.floor(run.times / (2 * BLOCK)), return_inverse=True)[1]
+        curves = np.stack([np.bincount(block, run.squares(shape, lag)) for lag in LAGS], axis=1)
+        whole, count = curves.sum(axis=0), len(curves)
+        without = np.array([_lowest(whole - curve) for curve in curves])
+        error = float(np.sqrt((count - 1) / count * ((without - without.mean()) ** 2).sum()))
+        found.append((SHAPES[shape] + _lowest(whole), error, count))
+    return found
+
+
+def _lowest(curve: Array) -> float:
+    """Return the delay where a curve is lowest: the vertex of the parabola through that point and its neighbours."""
+    at = int(np.clip(np.argmin(curve), 1, len(curve) - 2))
+    left, middle, right = curve[at - 1 : at + 2]
+    bend = left - 2 * middle + right
+    return float(LAGS[at] + (LAGS[1] - LAGS[0]) * (0.5 * (left - right) / bend if bend > 0 else 0.0))
 
 
 def command_of(samples: Mapping[tuple[str, str], Samples], own: Samples) -> tuple[Array, Array]:
@@ -76,11 +99,11 @@ def command_of(samples: Mapping[tuple[str, str], Samples], own: Samples) -> tupl
     """
     pair = own.speed()
     assert pair
-    told = own.columns[pair[1]]
-    for (who, message), one in samples.items():
-        is_its = who == own.controller or bool({bus for bus, _ in one.ids} & {bus for bus, _ in own.ids})
-        name = pair[1].removesuffix("_commanded")
-        if message == own.message or name not in one.columns or not is_its or len(one.times) < 2:
+    told, name = own.columns[pair[1]], pair[1].removesuffix("_commanded")
+    buses = {bus for bus, _ in own.ids}
+    for one in samples.values():
+        is_its = one.controller == own.controller or not buses.isdisjoint(bus for bus, _ in one.ids)
+        if one.message == own.message or name not in one.columns or not is_its or len(one.times) < 2:
             continue
         values = one.columns[name]
         latest = values[np.maximum(np.searchsorted(one.times, own.times) - 1, 0)]
@@ -105,10 +128,4 @@ def _predicted(when: Array, told: Array, is_sent: bool) -> tuple[float, Array]:
         command = told[np.maximum(np.searchsorted(when, grid, side="right") - 1, 0)]
     else:
         command = np.interp(grid, when, told)
-    kept = np.exp(-STEP / np.maximum(SHAPES, 1e-6))
-    values = np.empty((len(grid), len(SHAPES)))
-    state = np.full(len(SHAPES), command[0])
-    for at, value in enumerate(command):
-        state = value + (state - value) * kept
-        values[at] = state
-    return float(grid[0]), np.ascontiguousarray(values.T)
+    return float(grid[0]), np.ascontiguousarray(smoothed(grid, command, *SHAPES).T)

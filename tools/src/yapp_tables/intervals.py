@@ -8,7 +8,6 @@ independent: what differs between blocks, not between samples, is the error of a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any
@@ -33,9 +32,9 @@ class Change:
         reach = quantile(1 - chance, self.freedom) * self.error
         return self.value - reach, self.value + reach
 
-    def less(self, value: float, error: float = 0.0) -> Change:
+    def less(self, value: float) -> Change:
         """Return the change beyond that of others."""
-        return Change(self.value - value, math.hypot(self.error, error), self.freedom)
+        return Change(self.value - value, self.error, self.freedom)
 
 
 def quantile(share: float, freedom: float) -> float:
@@ -86,30 +85,6 @@ def _alike(means: Array) -> float:
     return float((own[1:] * own[:-1]).sum() / max((own * own).sum(), 1e-300))
 
 
-def shift(times: Array, sums: Callable[[float], Array], lengths: Array) -> tuple[float, float, int] | None:
-    """Return the length, of lengths, that gives the least sum of squares, its error, and the number of blocks.
-
-    sums: function(length) -> (n) squares. The error is that of the jackknife: each block is left out once.
-    """
-    block = np.unique(np.floor(times / (2 * BLOCK)), return_inverse=True)[1]
-    curves = np.stack([np.bincount(block, sums(length)) for length in lengths], axis=1)
-    count = len(curves)
-    if count < LEAST_BLOCKS:
-        return None
-    whole = curves.sum(axis=0)
-    best = lowest(lengths, whole)
-    without = np.array([lowest(lengths, whole - curve) for curve in curves])
-    return best, float(np.sqrt((count - 1) / count * ((without - without.mean()) ** 2).sum())), count
-
-
-def lowest(lengths: Array, curve: Array) -> float:
-    """Return where a curve is lowest: the vertex of the parabola through the lowest point and its neighbours."""
-    at = int(np.clip(np.argmin(curve), 1, len(curve) - 2))
-    left, middle, right = curve[at - 1 : at + 2]
-    bend = left - 2 * middle + right
-    return float(lengths[at] + (lengths[1] - lengths[0]) * (0.5 * (left - right) / bend if bend > 0 else 0.0))
-
-
 def more_often(before: int, after: int, share: float, clumps: float) -> float:
     """Return how likely as many events AFTER are, or more, if nothing changed.
 
@@ -117,15 +92,9 @@ def more_often(before: int, after: int, share: float, clumps: float) -> float:
     Of n events each is AFTER by this share: the tail of a binomial distribution.
     """
     few, many = round(before / clumps), round(after / clumps)
-    whole = few + many
-    if not whole:
-        return 1.0
-    logs = [
-        math.lgamma(whole + 1) - math.lgamma(k + 1) - math.lgamma(whole - k + 1)
-        + k * math.log(share) + (whole - k) * math.log(1 - share)
-        for k in range(many, whole + 1)
-    ]  # fmt: skip
-    return min(1.0, sum(map(math.exp, logs)))
+    k = np.arange(many, few + many + 1)
+    ways = np.array([math.log(math.comb(few + many, int(each))) for each in k])
+    return float(np.exp(ways + k * math.log(share) + (few + many - k) * math.log(1 - share)).sum())
 
 
 def slope(x: Array, y: Array, chance: float = 0.025) -> tuple[float, float, float]:

@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from .series import APART, Array, Samples
+from .series import APART, DEGREES, Array, Samples
 
 MEMORY = (10.0, 40.0, 160.0)  # seconds for which a temperature remembers the load
+SLOW = 20.0  # seconds: what a current takes from its supply at once is no cause of it, the slow part of the supply is
 RUNNING = 0.1  # of the usual highest speed: below, a motor stands
+LEAST_SAMPLES = 5  # of a bin, of each run
 
 
 @dataclass
@@ -29,72 +32,71 @@ class Load:
         if pair is None:
             return None
         speed = np.abs(lead.columns[pair[0]])
-        # What a current takes from its supply at once is no cause of it: the slow part of the supply is.
-        volts = _slow(lead.times, lead.columns[supply[0]]) if supply else np.zeros(len(speed))
-        heat = _memory(lead.times, np.nan_to_num(speed) ** 2)
-        return cls(lead.times, speed, volts, heat)
+        volts = smoothed(lead.times, lead.columns[supply[0]], SLOW)[:, 0] if supply else np.zeros(len(speed))
+        return cls(lead.times, speed, volts, smoothed(lead.times, np.nan_to_num(speed) ** 2, *MEMORY))
+
+    @classmethod
+    def joined(cls, loads: Sequence[Load]) -> Load:
+        """Return several loads as one, one behind the other."""
+        return cls(*(np.concatenate(each) for each in zip(*(vars(load).values() for load in loads), strict=True)))
 
     def at(self, times: Array) -> Load:
         """Return the load at other times: that of the latest sample, NaN five seconds behind it."""
         at = np.maximum(np.searchsorted(self.times, times, side="right") - 1, 0)
         gone = np.abs(times - self.times[at]) > 5
-        return Load(
-            times, np.where(gone, np.nan, self.speed[at]), np.where(gone, np.nan, self.volts[at]), self.heat[at]
-        )
+        speed, volts = (np.where(gone, np.nan, values[at]) for values in (self.speed, self.volts))
+        return Load(times, speed, volts, self.heat[at])
+
+    def curve(self, unit: float, has_heat: bool) -> Array:
+        """Return what a value depends on, (n, k): speed to the third power; a temperature also on the load before.
+
+        The supply only sorts into bins: what it does within 5 % is less than what a curve would make of noise.
+        """
+        x = self.speed / unit
+        return np.column_stack([x, x**2, x**3, *(self.heat.T / unit**2 if has_heat else [])])
+
+    def bins(self, count: int = 12, width: float = 0.05) -> Array:
+        """Return the number of each sample's bin, of speed and voltage; -1 where the motor stands or nothing is known.
+
+        A number is 16 times the bin of speed, plus that of voltage.
+        """
+        good = np.isfinite(self.speed) & np.isfinite(self.volts)
+        if not good.any():
+            return np.full(len(self.speed), -1)
+        top, usual = float(np.nanquantile(self.speed, 0.98)), float(np.nanmedian(self.volts))
+        rows = np.clip(np.nan_to_num(self.speed) / max(top, 1e-9) * count, 0, count + 3).astype(int)
+        steps = np.nan_to_num((self.volts - usual) / max(abs(usual) * width, 1e-9))
+        columns = np.clip(np.round(steps) + 8, 0, 15).astype(int)
+        return np.where(good & (self.speed > RUNNING * top), rows * 16 + columns, -1)
+
+    def common(self, is_after: Array) -> Array:
+        """Return which samples are in a bin that both runs have, (n) bool."""
+        bins = self.bins()
+        size = bins.max(initial=0) + 1
+        counts = [np.bincount(bins[own & (bins >= 0)], minlength=size) for own in (~is_after, is_after)]
+        return np.append(np.minimum(*counts) >= LEAST_SAMPLES, False)[bins]
 
 
-def _slow(times: Array, values: Array, length: float = 20.0) -> Array:
-    """Return the mean of the latest seconds, which begins anew with each flight."""
-    found, state = np.empty(len(values)), np.nan
-    kept = np.exp(-np.diff(times, prepend=times[:1] - APART) / length)
+def smoothed(times: Array, values: Array, *lengths: float) -> Array:
+    """Return the mean of the latest seconds, the older the less, for each length: (n, len(lengths)).
+
+    It begins anew with each flight.
+    """
+    found = np.empty((len(times), len(lengths)))
+    kept = np.exp(-np.diff(times, prepend=times[:1] - APART)[:, None] / np.maximum(lengths, 1e-6))
+    state = np.full(len(lengths), next(iter(values[np.isfinite(values)]), np.nan))
     for at, value in enumerate(values):
-        if not np.isnan(value):
-            state = value if np.isnan(state) else value + (state - value) * kept[at]
+        if value == value:
+            state = value + (state - value) * kept[at]
         found[at] = state
     return found
 
 
-def _memory(times: Array, power: Array) -> Array:
-    """Return the mean of the latest seconds, the older the less, for each length of MEMORY; (n, len(MEMORY))."""
-    found = np.zeros((len(times), len(MEMORY)))
-    gaps = np.diff(times, prepend=times[:1])
-    for column, length in enumerate(MEMORY):
-        state = 0.0
-        kept = np.exp(-np.clip(gaps, 0, APART) / length)
-        for at, value in enumerate(power):
-            state = state * kept[at] + value * (1 - kept[at])
-            found[at, column] = state
-    return found
+def dependent(one: Samples) -> Iterator[tuple[str, str]]:
+    """Yield the values that depend on the load, each with its unit: A, %, or °C.
 
-
-def terms(before: Load, after: Load, has_heat: bool) -> tuple[Array, Array]:
-    """Return what a value depends on: (n, k) for the samples of both, and which of them are at a load of both, (n).
-
-    Speed to the third power; of a temperature what the load was before, too. The supply only sorts into bins: what it
-    does within 5 % is less than what a curve through it would make of noise.
+    Speed is the load itself; power follows from current.
     """
-    speed, volts = (np.concatenate([getattr(one, name) for one in (before, after)]) for name in ("speed", "volts"))
-    is_after = np.repeat([False, True], [len(before.times), len(after.times)])
-    bins = load_bins(speed, volts)
-    counts = [np.bincount(bins[own & (bins >= 0)], minlength=bins.max(initial=0) + 1) for own in (~is_after, is_after)]
-    common = np.append((counts[0] >= 5) & (counts[1] >= 5), [False])
-    top = max(float(np.nanmax(speed, initial=1.0)), 1.0)
-    x = speed / top
-    columns = [x, x**2, x**3]
-    if has_heat:
-        heat = np.concatenate([before.heat, after.heat]) / top**2
-        columns += list(heat.T)
-    return np.stack(columns, axis=1), common[bins]
-
-
-def load_bins(speed: Array, volts: Array, count: int = 12, width: float = 0.05) -> Array:
-    """Return the number of each sample's bin, of speed and voltage; -1 where the motor stands or nothing is known."""
-    if not np.isfinite(speed).any():
-        return np.full(len(speed), -1)
-    top = max(float(np.nanquantile(speed, 0.98)), 1e-9)
-    step = max(abs(float(np.nanmedian(volts))) * width, 1e-9)
-    good = np.isfinite(speed) & np.isfinite(volts) & (speed > RUNNING * top)
-    rows = np.clip(np.nan_to_num(speed) / top * count, 0, count + 3).astype(int)
-    columns = np.nan_to_num(volts / step)
-    columns = np.clip(np.round(columns - np.nanmedian(columns)) + 8, 0, 15).astype(int)
-    return np.where(good, rows * 16 + columns, -1)
+    for name in one.names("value", "A", "%", *DEGREES):
+        if name not in (one.speed() or ()) and not name.endswith(("_commanded", "_error")):
+            yield name, "°C" if one.unit_of(name) in DEGREES else one.unit_of(name)

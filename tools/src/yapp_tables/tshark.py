@@ -103,13 +103,16 @@ class Tshark:
             records["check" if "rule" in record else "events" if "kind" in record else "summary"].append(record)
         return Export(described.parent, fields, records, partial, lacks, notes)
 
-    def ask(self, capture: Path, folder: str, statistics: Sequence[str]) -> tuple[list[Record], list[str], str]:
+    def ask(self, capture: Path, statistics: Sequence[str], rules: str = "") -> tuple[list[Record], list[str], str]:
         """Return the JSON lines of statistics, what the plugin says they leave out, and the text of others.
 
-        tshark runs in folder. Raises as export does, and CaptureError where only a part of the capture can be read.
+        rules: what stands in the file `rules`. Raises as export does, and CaptureError where only a part of the capture
+        can be read.
         """
         check_file(capture)
-        done = _run(self._command(capture, statistics), Path(folder))
+        with scratch() as folder:
+            (folder / "rules").write_text(rules, encoding="utf-8")
+            done = _run(self._command(capture, statistics), folder)
         if why := self._refusal(capture, done, written=True):
             raise CaptureError(f"{capture}: {why}")
         text = "".join(line for line in done.stdout.splitlines(keepends=True) if not line.startswith("{"))
