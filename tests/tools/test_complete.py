@@ -49,7 +49,7 @@ def test_convert_says_it_each_time_and_does_not_end_with_0(capture, yapp_tables)
         done = yapp_tables(*command)
         assert done.returncode == 3
         assert f"flight.pcapng: {SENTENCE}" in done.stderr
-        assert "1 of 1 capture was not decoded completely" in done.stderr.splitlines()[-1]
+        assert "1 of 1 capture not decoded completely" in done.stderr.splitlines()[-1]
 
 
 def test_report_says_it_first(capture, yapp_tables, tmp_path):

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Which controller is different: none in 100 flights without one, all of 20 planted ones, and at the right time."""
-
-import re
+"""Which controller is different: none in 100 flights without one, all planted ones, and at the right time."""
 
 import numpy as np
 import pytest
@@ -23,7 +21,7 @@ def differing(found, flight=(), excused=()):
     """What is said of sources; excused: stretches in which nobody is compared."""
     for one in found:
         one.calm = differs.calm_samples(one, flight, excused)
-    return differs.differing(found, set())
+    return differs.differing(found)
 
 
 def filtered(values, share):
@@ -34,7 +32,7 @@ def filtered(values, share):
     return out
 
 
-def flight(seed, count, hot=None, bad=None, load=None):
+def flight(seed, count, hot=None, load=None):
     """Motor Data of some controllers that fly the same, each a bit in its own way."""
     rng = np.random.default_rng(seed)
     seconds = int(rng.integers(150, 500))
@@ -51,7 +49,7 @@ def flight(seed, count, hot=None, bad=None, load=None):
     for number in range(count):
         own = times + rng.uniform(0, 0.1)
         command = np.where(base > 0, base + rng.uniform(20, 150) * np.sin(times / 7 + number), 0)
-        speed = filtered(command, 0.2 if number == bad else rng.uniform(0.5, 0.65)) + rng.normal(0, 8, len(times))
+        speed = filtered(command, rng.uniform(0.5, 0.65)) + rng.normal(0, 8, len(times))
         current = 5 + (speed / 4000) ** 2 * 10 * rng.uniform(0.95, 1.05) + rng.normal(0, 0.3, len(times))
         if number == load:
             current = current * 1.6
@@ -72,23 +70,19 @@ def test_none_in_100_clean_flights(first):
         assert differing(found) == [], seed
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_all_of_20_planted_ones(seed):
-    kind = ("hot", "bad", "load")[seed % 3]
+@pytest.mark.parametrize("seed", [seed for seed in range(27) if seed % 3 != 1])
+def test_all_planted_ones(seed):
+    kind = ("hot", "", "load")[seed % 3]
     count = 4 + seed % 5
     who = seed % count
     found, since = flight(1000 + seed, count, **{kind: who})
     said = differing(found)
     assert {row["source"] for row in said} == {f"esc{who}"}
-    when = "|".join(differs.minute(at) for at in (since - 1, since, since + 1)).join("()")
-    texts = {
-        "hot": rf"esc_temperature .* 1[1-7] °C hotter than the others, from {when} on",
-        "bad": r"rpm_measured follows its command \d\.\d times worse than the others",
-        "load": "dc_current higher",
-    }  # fmt: skip
-    assert any(re.search(texts[kind], f"{row['title']} {row['text']}") for row in said)
+    what = {"hot": ("esc_temperature", "temperature"), "load": ("dc_current", "level")}[kind]
+    assert what in {(row["title"], row["kind"]) for row in said}
     if kind == "hot":
         assert abs(said[0]["at"] - since) <= 2
+        assert 10 < said[0]["away"] < 18
 
 
 def test_of_two_the_hot_one_is_said():
@@ -117,46 +111,35 @@ def test_the_values_of_each_second():
 
 @pytest.mark.parametrize(
     ("value", "seconds", "word"),
-    [(30, 25, None), (30.5, 25, "hotter"), (0, 25, None), (-0.5, 25, "cooler"), (31, 20, "hotter"), (31, 19, None)],
+    [(30, 25, False), (30.5, 25, True), (0, 25, False), (-0.5, 25, True), (31, 20, True), (31, 19, False)],
 )
 def test_how_far_and_how_long_a_temperature_is_apart(value, seconds, word):
     """More than 10 degrees above, or 20 below, for 20 s."""
     found, values = sources([20] * 50, [20] * 50, [20] * 5 + [value] * seconds + [20] * (45 - seconds))
     said = differs._temperature(found, values)
-    about = [(row["number"], row["at"], row["end"], abs(row["away"]), word in row["text"]) for row in said]
-    assert about == ([(2, 5.0, 5.0 + seconds, abs(value - 20), True)] if word else [])
+    about = [(row["number"], row["at"], row["end"], row["away"]) for row in said]
+    assert about == ([(2, 5.0, 5.0 + seconds, value - 20)] if word else [])
 
 
 @pytest.mark.parametrize(
-    ("others", "value", "word"),
+    ("others", "value", "is_odd"),
     [
-        ((10, 10, 10.2), 12.5, None), ((10, 10, 10.2), 12.6, "higher"), ((10, 10, 10.2), 7.4, "lower"),
-        ((1, 1, 1), 2, None), ((1, 1, 1), 2.1, "higher"),
-        ((10, 11, 10.5), 14.4, None), ((10, 11, 10.5), 14.6, "higher"), ((1, 1), 9, None),
-        ((10, 10, 10, 1, 1, 1, 1), 10, None),
+        ((10, 10, 10.2), 12.5, False), ((10, 10, 10.2), 12.6, True), ((10, 10, 10.2), 7.4, True),
+        ((1, 1, 1), 2, False), ((1, 1, 1), 2.1, True),
+        ((10, 11, 10.5), 14.4, False), ((10, 11, 10.5), 14.6, True), ((1, 1), 9, False),
+        ((10, 10, 10, 1, 1, 1, 1), 10, False),
     ],
 )  # fmt: skip
-def test_how_far_a_level_is_apart(others, value, word):
-    """A quarter of the level, 4 times as far as the others lie apart, and 1; three others have to agree."""
+def test_how_far_a_level_is_apart(others, value, is_odd):
+    """A quarter of the level, 8 times as far as two thirds of the others lie apart, and 1; three have to agree."""
     found, values = sources(*([each] * 9 for each in (*others, value)))
-    said = differs._level(found, values, [[n for n in range(len(found)) if n != each] for each in range(len(found))])
-    assert [(row["number"], row["text"]) for row in said] == ([(len(others), word)] if word else [])
-
-
-@pytest.mark.parametrize(
-    ("command", "error", "times"), [(100, 2, None), (100, 2.1, 2.1), (2000, 3.9, None), (2000, 4.1, 4.1)]
-)
-def test_how_badly_a_command_is_followed(command, error, times):
-    """Twice as far as the others, and 0.2 % of the largest command."""
-    _, values = sources(*([command + away] * 60 for away in (1, 1, 1, error)))
-    said = differs._following(values, [np.full(60, float(command))] * 4)
-    text = f"follows its command {times} times worse than the others"
-    assert [(row["number"], row["text"]) for row in said] == ([(3, text)] if times else [])
+    said = [(row["number"], row["value"], row["beside"]) for row in differs._level(found, values)]
+    assert said == ([(len(others), value, np.median(others))] if is_odd else [])
 
 
 @pytest.mark.parametrize(
     ("value", "steps", "others", "times"),
-    [(18, 2, 10, None), (18.2, 2, 10, 1.8), (30, 1, 10, None), (10, 2, 1, 10.0), (9.9, 2, 1, None)],
+    [(18, 2, 10, None), (18.2, 2, 10, 1.82), (30, 1, 10, None), (10, 2, 1, 10.0), (9.9, 2, 1, None)],
 )
 def test_a_multiple_of_the_others(value, steps, others, times):
     """1.8 times, for two messages, and further away than 10 % of the largest value of the flight."""
@@ -165,8 +148,8 @@ def test_a_multiple_of_the_others(value, steps, others, times):
     late = [*usual[:40], None, *usual[41:]]  # the one before stands there
     found, values = sources(usual, late, own)
     said = differs._surges(found, values)
-    about = [(row["number"], row["text"], row["at"], row["end"], row["value"]) for row in said]
-    assert about == ([(2, f"{times} times the others'", 40.0, 42.0, value)] if times else [])
+    about = [(row["number"], row["times"], row["at"], row["end"], row["value"]) for row in said]
+    assert about == ([(2, pytest.approx(times), 40.0, 42.0, value)] if times else [])
 
 
 @pytest.mark.parametrize("fallen", [(4,), (4, 5), (3, 4, 5), (2, 3, 4, 5)])

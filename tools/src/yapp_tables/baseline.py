@@ -9,7 +9,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -34,7 +34,6 @@ UPPER = ("gap", "noise")  # measures with an upper limit only
 LEAST_TRIED = 4  # flights: fewer say nothing of one that has no part
 ROOMS = (1.0, 1.5, 2.5)  # of a limit, until each flight keeps it that has no part in it
 LEAST_LOAD = 0.1  # of the largest current, that a mean is where a ratio tells something
-LEAST_RESERVED = 0.05  # of values, that may be reserved in any flight
 OF_CHECK = "damaged or lost messages may hide faults"  # what check says, and the rules count
 POINTS = 7  # of a curve
 LEAST_SAMPLES = 20  # of a point, of all flights
@@ -49,24 +48,21 @@ LEAST_HELD = 12  # samples of each flight
 HEAD = """\
 # Learnt by yapp-tables {version} from {flights}, with a margin of {margin:g} %.
 # A # takes a rule out; edit the numbers as you like. Behind each: the extreme of the good flights, and whose it is.
-# The first rules are those of check alone. Reserved values are in no range; .special is their share.
+# The first rules are those of check alone. Reserved values are in no range.
 """
 Extreme = tuple[float, float, str]  # the lowest and the highest of a source in a flight, the flight
 Write = Callable[[str, str], str]  # limits below and above to the text of a rule
+Found = Sequence[tuple[str, Samples]]  # the samples of one source in each flight, with the flight's name
 
 
 @dataclass
 class Rule:
-    """A rule. source: the user's name of the one it is about, "" for all; lost: which good flight does not keep it.
-
-    seen: what the gate saw in each flight.
-    """
+    """A rule. source: the user's name of the one it is about, "" for all; lost: which good flight does not keep it."""
 
     source: str
     text: str
     comment: str = ""
     lost: str = ""
-    seen: list[tuple[float, str]] = field(default_factory=list)
 
 
 @dataclass
@@ -106,14 +102,11 @@ def learn(captures: Sequence[Path], tshark: Tshark, margin: float) -> tuple[str,
             name, _, measure = one.what.rpartition(".")
             covered = found[one.source, f"{name}.numbers"] if measure == "mean" else one.found
             rules.append(_rule(one, covered, apart[one.what], margin))
-        shares, constants = _reserved(findings, flights[0].fields), _constants(flights)
         head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=margin * 100)
-        # The gate itself says which rules these flights keep, and what part of the values is reserved.
-        text = _text(head, [*rules, *shares, *constants])
+        # The gate itself says which rules these flights keep.
+        text = _text(head, rules)
         verdicts = pool.map(lambda capture: tshark.ask(capture, ["check,rules=rules,json"], text)[0], captures)
-        _mark_lost([*rules, *shares, *constants], dict(zip((one.name for one in flights), verdicts, strict=True)))
-    rules += [rule for rule in shares if _learn_share(rule, margin)]
-    rules += [rule for rule in constants if rule.seen and not rule.lost]
+        _mark_lost(rules, dict(zip((one.name for one in flights), verdicts, strict=True)))
     said = [f"{one.name}: {text}" for one in flights for text in one.lacks if not text.startswith(OF_CHECK)]
     return _text(head, rules), said
 
@@ -124,10 +117,9 @@ def _read(capture: Path, name: str, tshark: Tshark) -> Good:
         if export.partial:
             raise CaptureError(f"{capture}: {export.partial}")
         flight = Flight(capture, export)
-        start = flight.start()
-        names = {(row["bus"], row["id"]): row["source"] or "" for row in export.records["summary"]}
-        own = [(names.get(next(iter(one.ids)), ""), one) for one in samples(flight, start=start).values()]
-        return Good(name, export.records, export.lacks, export.fields, own)
+    names = {(row["bus"], row["id"]): row["source"] or "" for row in export.records["summary"]}
+    own = [(names.get(next(iter(one.ids)), ""), one) for one in samples(flight, start=flight.start()).values()]
+    return Good(name, export.records, export.lacks, export.fields, own)
 
 
 def _summed(flights: Sequence[Good]) -> Iterator[Finding]:
@@ -152,8 +144,7 @@ def _summed(flights: Sequence[Good]) -> Iterator[Finding]:
     for (name, message, each), values in means.items():
         for source, ratio in _ratios(values).items():
             found[source, f"{message}.{each}.ratio"].append((ratio, ratio, name))
-    for (source, what), ends in found.items():
-        yield Finding(source, what, ends)
+    return (Finding(*key, ends) for key, ends in found.items())
 
 
 def _ratios(values: dict[str, Record]) -> dict[str, float]:
@@ -165,31 +156,25 @@ def _ratios(values: dict[str, Record]) -> dict[str, float]:
     return {one: mean / median(means[other] for other in means if other != one) for one, mean in means.items()}
 
 
-# ---- what values show: noise, limits over another field, for a time, and means under a condition
-
-
-def _by_source(flights: Sequence[Good]) -> dict[tuple[str, str], list[tuple[str, Samples]]]:
-    """Return the samples of flights by source and message; without a source where one of a message has no name."""
-    every = [(source, flight.name, one) for flight in flights for source, one in flight.samples]
-    nameless = {one.message for source, _, one in every if not source}
-    found = defaultdict(list)
-    for source, name, one in every:
-        found["" if one.message in nameless else source, one.message].append((name, one))
-    return found
+# ---- what values show: noise, limits over another field, and means under a condition
 
 
 def _shown(flights: Sequence[Good]) -> Iterator[Finding]:
-    """Yield what the values of good flights show, where they differ at all: ranges say the rest."""
-    for (source, message), found in _by_source(flights).items():
-        entry, one = flights[0].fields["messages"][message], found[0][1]
-        differences = [row for row in entry["formulas"] if row["operator"] == "-"]
-        for finding in [*_noises(message, found), *_under_load(message, found, differences, one.every)]:
+    """Yield what the values of good flights show, where they differ at all: ranges say the rest.
+
+    Of all controllers together where one of a message has no name.
+    """
+    every = [(source, flight.name, one) for flight in flights for source, one in flight.samples]
+    nameless = {one.message for source, _, one in every if not source}
+    found: dict[tuple[str, str], list[tuple[str, Samples]]] = defaultdict(list)
+    for source, name, one in every:
+        found["" if one.message in nameless else source, one.message].append((name, one))
+    for (source, message), own in found.items():
+        differences = flights[0].fields["messages"][message]["differences"]
+        for finding in [*_noises(message, own), *_under_load(message, own, differences)]:
             if len({end for low, high, _ in finding.found for end in (low, high)}) > 1:
                 finding.source = source
                 yield finding
-
-
-Found = Sequence[tuple[str, Samples]]  # the samples of one source in each flight, with the flight's name
 
 
 def _noises(message: str, found: Found) -> Iterator[Finding]:
@@ -204,28 +189,23 @@ def _noises(message: str, found: Found) -> Iterator[Finding]:
         yield Finding("", f"{message}.{name}.noise", ends)
 
 
-def _under_load(message: str, found: Found, differences: Sequence[Record], every: float) -> Iterator[Finding]:
-    """Yield limits over another field and for a time, by what fields are: of units and names alone."""
+def _under_load(message: str, found: Found, differences: Sequence[Record]) -> Iterator[Finding]:
+    """Yield limits over another field, by what fields are: of units and names alone.
+
+    Current, power and torque over speed, temperature over current, what is less its command over the command.
+    """
     one = found[0][1]
-    names = {unit: [name for name in one.names("value", unit) if not name.endswith("_commanded")]
-             for unit in ("RPM", "A", "W")}  # fmt: skip
-    torques = [name for name in names["A"] if "torque" in name]
-    currents = [name for name in names["A"] if name not in torques]
-    errors = [row["name"] for row in differences]
-    pairs = [(value, other, LONG) for value in currents + names["W"] + torques for other in names["RPM"]]
+    torques = [name for name in one.measured("A") if "torque" in name]
+    currents = [name for name in one.measured("A") if "torque" not in name]
+    pairs = [
+        (value, other, LONG) for value in currents + one.measured("W") + torques for other in (one.speed() or ())[:1]
+    ]
     pairs += [(value, other, LONG) for value in one.names("value", *DEGREES) for other in currents]
-    pairs += [(value, other, 0) for value in currents for other in torques]
     pairs += [(row["name"], row["less"], SHORT) for row in differences]
     for value, other, length in pairs:
-        yield from _over(message, _having(found, value, other), (value, other), (length, every))
-    for value in errors:
-        for length in (SHORT, LONG):
-            own, hold = _having(found, value), f" for={length * every:.3g}"
-            ends = _ends(own, lambda one, value=value: one.columns[value], (length, every))  # type: ignore[misc]
-            yield Finding("", f"{message}.{value}{hold}", ends, _writer(f"{message}.{value}", hold))
-    for other in errors + torques:
-        for value in currents:
-            yield from _conditional(message, _having(found, value, other), value, other)
+        yield from _over(message, _having(found, value, other), (value, other), (length, one.every))
+    for value, other in ((value, other) for value in currents for other in torques):
+        yield from _conditional(message, _having(found, value, other), value, other)
 
 
 def _having(found: Found, *names: str) -> Found:
@@ -235,76 +215,55 @@ def _having(found: Found, *names: str) -> Found:
     return good if len(good) >= LEAST_FLIGHTS else []
 
 
-def _writer(name: str, suffix: str) -> Write:
-    return lambda low, high: f"{name}={low}..{high}{suffix}"
-
-
-def held(one: Samples, values: Array, length: int, every: float, breaks: Array | None = None) -> float | None:
+def held(one: Samples, values: Array, length: int, every: float, breaks: Array) -> float | None:
     """Return the highest value that lasted for so many periods; None for no values.
 
     breaks: true where the condition of a rule does not hold.
     """
     good = np.isfinite(values)
-    times, kept = one.times[good], values[good]
-    part = _parts(one, every, breaks)[good]
+    times, kept, part = one.times[good], values[good], _parts(one, every, breaks)[good]
     ends = np.searchsorted(times, times + length * every - 1e-6)
     lows = [kept[at : end + 1].min() for at, end in enumerate(ends) if end < len(kept) and part[at] == part[end]]
     return float(max(lows)) if lows else None
 
 
-def _parts(one: Samples, every: float, breaks: Array | None) -> Array:
+def _parts(one: Samples, every: float, breaks: Array) -> Array:
     """Return of each sample how many gaps, and samples without the condition, came up to it."""
-    late = np.diff(one.times, prepend=one.times[:1]) > LATE * every
-    return np.asarray(np.cumsum(late if breaks is None else late | breaks))
-
-
-def _ends(
-    found: Found,
-    values_of: Callable[[Samples], Array],
-    hold: tuple[int, float],
-    breaks_of: Callable[[Samples], Array] | None = None,
-) -> list[Extreme]:
-    """Return what lasted in each flight, on either side: the gate counts a row of values outside, wherever they lie."""
-    ends = []
-    for flight, one in found:
-        top = held(one, np.abs(values_of(one)), *hold, breaks_of(one) if breaks_of else None)
-        if top is not None:
-            ends.append((-top, top, flight))
-    return ends
+    return np.asarray(np.cumsum((np.diff(one.times, prepend=one.times[:1]) > LATE * every) | breaks))
 
 
 def _over(message: str, found: Found, names: tuple[str, str], hold: tuple[int, float]) -> Iterator[Finding]:
     """Yield limits over another field.
 
     At each point: a centre, the median of the flights' medians; how far values scatter about it; and so many of these
-    as flights, as wholes, lay away for as long as the rule asks for.
+    as flights, as wholes, lay away for as long as the rule asks for: the gate counts a row of values outside, wherever
+    they lie.
     """
     value, other = names
-    pairs = [_running(one.columns[other], one.columns[value]) for _, one in found]
-    rows = _curve(pairs) if sum(len(x) for x, _ in pairs) else []
+    rows = _curve([_running(one.columns[other], one.columns[value]) for _, one in found])
     if len(rows) < 2:
         return
     points, centres, scatter = (np.array(each) for each in zip(*rows, strict=True))
     low_end, high_end = float(f"{points[0]:.4g}"), float(f"{points[-1]:.4g}")
-    suffix = f" when={other}={low_end:.4g}..{high_end:.4g} after={AFTER:g} for={hold[0] * hold[1]:.3g}" * bool(hold[0])
-
-    def breaks(one: Samples) -> Array:
-        return np.asarray((one.columns[other] < low_end) | (one.columns[other] > high_end))
-
-    def away(one: Samples) -> Array:
-        x, y, judged = one.columns[other], one.columns[value], ~breaks(one)
-        if hold[0]:  # once the condition has held for so long
-            part = _parts(one, hold[1], ~judged)
-            starts = dict(reversed(list(zip(part[judged], one.times[judged], strict=True))))
-            judged &= one.times - np.array([starts.get(number, np.inf) for number in part]) >= AFTER - 1e-6
-        return np.where(judged, (y - np.interp(x, points, centres)) / np.interp(x, points, scatter), np.nan)
+    suffix = f" when={other}={low_end:.4g}..{high_end:.4g} after={AFTER:g} for={hold[0] * hold[1]:.3g}"
+    ends = []
+    for flight, one in found:
+        x, y = one.columns[other], one.columns[value]
+        breaks = (x < low_end) | (x > high_end)
+        # Judged once the condition has held for so long.
+        part = _parts(one, hold[1], breaks)
+        starts = dict(reversed(list(zip(part[~breaks], one.times[~breaks], strict=True))))
+        is_judged = ~breaks & (one.times - np.array([starts.get(each, np.inf) for each in part]) >= AFTER - 1e-6)
+        away = np.abs(y - np.interp(x, points, centres)) / np.interp(x, points, scatter)
+        top = held(one, np.where(is_judged, away, np.nan), *hold, breaks)
+        ends += [(-top, top, flight)] if top is not None else []
 
     def write(low: str, high: str) -> str:
         limits = (f"{x:.4g}:{centre + float(low) * size:.4g}..{centre + float(high) * size:.4g}"
                   for x, centre, size in zip(points, centres, scatter, strict=True))  # fmt: skip
         return f"{message}.{value}.over({other})={';'.join(limits)}{suffix}"
 
-    yield Finding("", f"{message}.{value}.over({other})", _ends(found, away, hold, breaks), write)
+    yield Finding("", f"{message}.{value}.over({other})", ends, write)
 
 
 def _running(x: Array, y: Array) -> tuple[Array, Array]:
@@ -315,6 +274,8 @@ def _running(x: Array, y: Array) -> tuple[Array, Array]:
 
 def _curve(pairs: Sequence[tuple[Array, Array]]) -> list[tuple[float, float, float]]:
     """Return point, centre and scatter of values over another field: where enough flights have enough samples."""
+    if not any(len(x) for x, _ in pairs):
+        return []
     every_x, every_y = (np.concatenate(each) for each in zip(*pairs, strict=True))
     low, high = np.quantile(every_x, USUAL)
     grid = np.linspace(low, high, POINTS)
@@ -333,21 +294,20 @@ def _curve(pairs: Sequence[tuple[Array, Array]]) -> list[tuple[float, float, flo
 
 def _conditional(message: str, found: Found, value: str, other: str) -> Iterator[Finding]:
     """Yield the mean at the lowest and at the highest values of another field, if each flight has some of these."""
-    every = np.concatenate([one.columns[other] for _, one in found]) if found else np.array([])
+    every = np.concatenate([one.columns[other] for _, one in found] or [np.zeros(0)])
     for quantile, sign in ((1 - RARE, 1), (RARE, -1)) if len(every) else ():
-        edge = float(f"{np.nanquantile(every, quantile):.2g}")
-        ends = []
+        edge, ends = float(f"{np.nanquantile(every, quantile):.2g}"), []
         for flight, one in found:
-            y = one.columns[value][sign * one.columns[other] >= sign * edge]
-            y = y[np.isfinite(y)]
+            y = one.columns[value][(sign * one.columns[other] >= sign * edge) & np.isfinite(one.columns[value])]
             if len(y) >= LEAST_HELD:
                 ends.append((float(y.mean()), float(y.mean()), flight))
         if sign * edge > 0 and len(ends) == len(found):
-            name, when = (
-                f"{message}.{value}.mean",
-                f" when={other}={edge:g}.." if sign > 0 else f" when={other}=..{edge:g}",
-            )
-            yield Finding("", f"{name} {other} {sign}", ends, _writer(name, when))
+            name, when = f"{message}.{value}.mean", f"{edge:g}.." if sign > 0 else f"..{edge:g}"
+
+            def write(low: str, high: str, name: str = name, when: str = when) -> str:
+                return f"{name}={low}..{high} when={other}={when}"
+
+            yield Finding("", f"{name} {other} {sign}", ends, write)
 
 
 # ---- limits
@@ -398,13 +358,10 @@ def _rule(one: Finding, covered: list[Extreme], apart: tuple[float, float], marg
             break
     bottom, top, comment = ends("", room)
     lost = f"flights differ too much: {broken} of {len(wanted)} do not keep it" if broken else ""
-    if one.write:
-        return Rule(one.source, one.write(bottom, top), comment, lost)
-    if measure in UPPER:
-        return Rule(one.source, f"{one.what}={top}", comment, lost)
     # A field of the user's may have the name of a measure.
-    text = re.sub(r"\.(count|rate|gap)\.numbers$", r".\1.value", one.what).removesuffix(".numbers")
-    return Rule(one.source, f"{text}={bottom}..{top}", comment, lost)
+    name = re.sub(r"\.(count|rate|gap)\.numbers$", r".\1.value", one.what).removesuffix(".numbers")
+    text = f"{name}={top}" if measure in UPPER else f"{name}={bottom}..{top}"
+    return Rule(one.source, one.write(bottom, top) if one.write else text, comment, lost)
 
 
 def _apart(values: Sequence[float], sign: int) -> float:
@@ -440,60 +397,19 @@ def _counted(flights: Sequence[Good], margin: float) -> list[Rule]:
             counts[flight.name] = max(counts.get(flight.name, 0.0), float(row["seen"] or 0))
     rules = []
     for kind, counts in seen.items():
-        limit, most = _limit(
-            [(count, name) for name, count in counts.items()], max(counts.values()) * margin, margin, 1
-        )
+        ends = [(count, name) for name, count in counts.items()]
+        limit, most = _limit(ends, max(counts.values()) * margin, margin, 1)
         whole = math.ceil(float(limit))
         rules.append(Rule("", f"{kind}={whole}", most if whole else ""))
     return rules
 
 
-def _reserved(findings: Sequence[Finding], fields: Record) -> list[Rule]:
-    """Return a rule for each compressed float, that none of its values is reserved."""
-    floats = {
-        f"{message}.{column['name'].removesuffix('_special')}.numbers"
-        for message, entry in fields["messages"].items()
-        for column in entry["columns"]
-        if column["name"].endswith("_special")
-    }
-    return [
-        Rule(one.source, f"{one.what.removesuffix('.numbers')}.special=0") for one in findings if one.what in floats
-    ]
-
-
-def _constants(flights: Sequence[Good]) -> list[Rule]:
-    """Return a rule for each enum and each integer of flags that never changed in any flight."""
-    rules = []
-    for (source, message), found in _by_source(flights).items():
-        for name in found[0][1].names("enum") + found[0][1].names("flags"):
-            seen = {value for _, one in found for value in np.unique(one.columns[name][np.isfinite(one.columns[name])])}
-            if len(seen) == 1:
-                texts = {text for _, one in found for text in one.texts.get(name, ())}
-                value = f"{seen.pop():.0f}"
-                rules.append(Rule(source, f"{message}.{name}={value}..{value}", ", ".join(texts) or "always"))
-    return rules
-
-
-def _learn_share(rule: Rule, margin: float) -> bool:
-    """Set the share of values that may be reserved. Returns whether a flight may break the rule."""
-    if not rule.seen:
-        return False
-    limit, rule.comment = _limit(rule.seen, max(share for share, _ in rule.seen) * margin, margin, 1)
-    rule.text = f"{rule.text.partition('=')[0]}={max(float(limit), LEAST_RESERVED):g}"
-    rule.lost = ""
-    return float(limit) < 1
-
-
 def _mark_lost(rules: list[Rule], flights: dict[str, list[Record]]) -> None:
-    """Note what the gate says of the rules."""
+    """Note which rules the gate says that a flight does not keep."""
     by_key = {(rule.source, rule.text): rule for rule in rules}
     for name, verdicts in flights.items():
-        for verdict in verdicts:
-            text = verdict["rule"]
-            rule = by_key.get((verdict["source"] or "", text)) or by_key.get(("", text))
-            if rule and verdict["seen"] is not None:
-                rule.seen.append((float(verdict["seen"]), name))
-            if rule and verdict["ok"] is not True:
+        for verdict in (verdict for verdict in verdicts if verdict["ok"] is not True):
+            if rule := by_key.get((verdict["source"] or "", verdict["rule"])) or by_key.get(("", verdict["rule"])):
                 seen = " ".join(str(verdict[key]) for key in ("seen", "note") if verdict[key] is not None)
                 rule.lost = f"{name} does not keep it ({seen})"
 
@@ -504,11 +420,7 @@ def _text(head: str, rules: list[Rule]) -> str:
         own = [rule for rule in rules if rule.source == source]
         if source:
             lines.append(f"\n{'# ' * all(rule.lost for rule in own)}source={source}\n")
-        lines += [_line(rule) for rule in own]
+        for rule in own:
+            comment = f"{rule.text:<48} # {rule.comment}" if rule.comment else rule.text
+            lines.append(f"# {rule.text}: {rule.lost}\n" if rule.lost else f"{comment}\n")
     return "".join(lines)
-
-
-def _line(rule: Rule) -> str:
-    if rule.lost:
-        return f"# {rule.text}: {rule.lost}\n"
-    return f"{rule.text:<48} # {rule.comment}\n" if rule.comment else f"{rule.text}\n"

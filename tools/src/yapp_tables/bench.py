@@ -18,7 +18,8 @@ from .series import Array, Samples, numbers
 
 STEP = 0.05  # seconds of the grid on which speeds are compared
 LEAST, APART, SECOND = 0.9, 2.0, 0.97  # correlation; seconds between two offsets; of the best correlation
-LEAST_SECONDS = 5.0
+LEAST_SECONDS, LEAST_ROWS = 5.0, 20
+UNITS = {r"\bms\b|milli": 1e3, r"\b[uµ]s\b|micro": 1e6}  # of a second, in the name of the column of time
 
 
 @dataclass(frozen=True)
@@ -37,72 +38,60 @@ def read(path: Path) -> tuple[Array, Array, dict[str, Array]]:
     try:
         with path.open("rb") as file:
             sample = file.read(4096)
-        parse = csv.ParseOptions(
-            delimiter=";" if sample.count(b";") > sample.count(b",") else ",", invalid_row_handler=lambda _: "skip"
-        )
-        table = csv.read_csv(path, parse_options=parse)
+        mark = ";" if sample.count(b";") > sample.count(b",") else ","
+        table = csv.read_csv(path, parse_options=csv.ParseOptions(delimiter=mark, invalid_row_handler=lambda _: "skip"))
     except (OSError, pa.ArrowInvalid) as error:
         raise SetupError(f"{path} cannot be read: {error}") from error
-    if len(table) < 20:
-        raise SetupError(f"{path} has {len(table)} rows; a log of a bench has a header and a row for each sample")
     names = table.schema.names
-    time = next((name for name in names if re.match(r"\s*(time|t|timestamp)\b|.*_time\b", name, re.I)), None)
-    speed = next((name for name in names if re.search(r"rpm|speed|drehzahl", name, re.I)), None)
-    if time is None or speed is None:
-        what = "time" if time is None else "speed (rpm)"
-        raise SetupError(f"{path} has no column of {what}; its columns: {', '.join(names)}")
-    is_number = {each.name: pa.types.is_integer(each.type) or pa.types.is_floating(each.type) for each in table.schema}
-    columns = {name: numbers(table[name]) for name in names if is_number[name] and name != time}
-    if pa.types.is_timestamp(table.schema.field(time).type):
-        times = table[time].cast(pa.timestamp("ns", table.schema.field(time).type.tz)).cast(pa.int64()).to_numpy() / 1e9
-    elif is_number[time]:
-        unit = (
-            1e3 if re.search(r"\bms\b|milli", time, re.I) else 1e6 if re.search(r"\b[uµ]s\b|micro", time, re.I) else 1
-        )
-        times = numbers(table[time]) / unit
+    columns = {each.name: numbers(table[each.name]) for each in table.schema
+               if pa.types.is_integer(each.type) or pa.types.is_floating(each.type)}  # fmt: skip
+    time = next((name for name in names if re.match(r"\s*(time|t|timestamp)\b|.*_time\b", name, re.I)), "")
+    speed = next((name for name in columns if re.search(r"rpm|speed|drehzahl", name, re.I)), "")
+    if time in columns:
+        times = columns.pop(time) / next((unit for word, unit in UNITS.items() if re.search(word, time, re.I)), 1)
+    elif time and pa.types.is_timestamp(kind := table.schema.field(time).type):
+        times = table[time].cast(pa.timestamp("ns", kind.tz)).cast(pa.int64()).to_numpy() / 1e9
     else:
-        raise SetupError(f"{path}: {time} is no time: {table[time][0]}; seconds, ms, or ISO 8601 are")
-    if speed not in columns:
-        raise SetupError(f"{path}: {speed} has cells that are no numbers")
+        times = np.zeros(0)
+    if not speed or len(times) < LEAST_ROWS:
+        needs = f"{LEAST_ROWS} rows, a column of time (s, ms, ISO 8601), and one of speed (rpm), all numbers"
+        raise SetupError(f"{path} is no log of a bench: it needs {needs}; it has {len(table)} rows of {names}")
     order = np.argsort(times, kind="stable")[: np.isfinite(times).sum()]
-    kept = {_name(name): values[order] for name, values in columns.items()}
+    plain = {name: re.sub(r"[^0-9a-zA-Z]+", "_", name).strip("_").lower() for name in columns}
+    kept = {f"bench_{plain[name]}": values[order] for name, values in columns.items()}
     return times[order] - times[order[0]], columns[speed][order], kept
-
-
-def _name(text: str) -> str:
-    return f"bench_{re.sub(r'[^0-9a-zA-Z]+', '_', text).strip('_').lower()}"
 
 
 def aligned(path: Path, found: Mapping[tuple[str, str], Samples]) -> Bench:
     """Return the log of a bench in the time of the capture. Raises SetupError where no or several offsets fit."""
     times, speed, columns = read(path)
-    results = []
+    there, results = np.isfinite(speed), []
+    theirs = _grid(times[there], np.abs(speed[there]))
     for one in found.values():
         pair = one.speed()
         if pair and one.times[-1] - one.times[0] > LEAST_SECONDS:
             own = np.abs(one.columns[pair[0]])
-            good, theirs = np.isfinite(own), np.isfinite(speed)
-            first = _grid(one.times[good], own[good]), _grid(times[theirs], np.abs(speed[theirs]))
-            for fit, offset in _fits(*first):
-                results.append((fit, one.times[good][0] + offset - times[theirs][0], one))
+            good = np.isfinite(own)
+            for fit, offset in _fits(_grid(one.times[good], own[good]), theirs):
+                offset += one.times[good][0] - times[there][0]
+                results.append((fit, offset, one.controller, (one.times[good], own[good])))
     results.sort(key=lambda each: -each[0])
     if not results or results[0][0] < LEAST:
         best = f"; the best correlation is {results[0][0]:.2f}" if results else ""
         raise SetupError(
             f"{path}: its speed fits no controller of the capture{best}, {LEAST} is needed: is it of this run?"
         )
-    fit, offset, one = results[0]
-    for other, where, who in results[1:]:
-        if other > SECOND * fit and (who is not one or abs(where - offset) > APART):
-            where_ = f"{where:.2f} s" + (f" on {who.controller}" if who is not one else "")
+    fit, offset, who, own_line = results[0]
+    for other, where, whose, _ in results[1:]:
+        if other > SECOND * fit and (whose != who or abs(where - offset) > APART):
             raise SetupError(
-                f"{path}: ambiguous, offsets of {offset:.2f} s on {one.controller} and {where_} fit alike ({fit:.3f}, "
-                f"{other:.3f}): log a step of the speed that comes once, or cut the log"
+                f"{path}: ambiguous, offsets of {offset:.2f} s on {who} and {where:.2f} s on {whose} fit alike "
+                f"({fit:.3f}, {other:.3f}): log a step of the speed that comes once, or cut the log"
             )
-    rate, offset = _clock(one, times, speed, offset)
+    rate, offset = _clock(own_line, (times, np.abs(speed)), offset)
     said = f"{path.name} begins {offset:+.3f} s from the first message, its clock runs {rate * 1e6:+.0f} ppm"
-    said += f" (correlation {fit:.3f} with the speed of {one.controller})"
-    return Bench(one.controller, times * (1 + rate) + offset, columns, said)
+    said += f" (correlation {fit:.3f} with the speed of {who})"
+    return Bench(who, times * (1 + rate) + offset, columns, said)
 
 
 def _grid(times: Array, values: Array) -> Array:
@@ -130,37 +119,27 @@ def _fits(own: Array, theirs: Array) -> list[tuple[float, float]]:
     found = []
     for _ in range(2):
         at = int(np.argmax(fit))
-        if fit[at] <= 0:
-            break
         found.append((float(min(fit[at], 1.0)), (at - (len(theirs) - 1)) * STEP))
         fit[max(0, at - int(APART / STEP)) : at + int(APART / STEP) + 1] = -1
     return found
 
 
-def _clock(one: Samples, times: Array, speed: Array, offset: float) -> tuple[float, float]:
-    """Return how much faster the capture's clock runs, and the offset, from the best offsets of parts of the log."""
-    pair = one.speed()
-    assert pair
-    own = np.abs(one.columns[pair[0]])
-    good = np.isfinite(own)
-    own_times, own = one.times[good], own[good]
-    whole, length = times[-1], max(10.0, times[-1] / 12)
-    middles, offsets = [], []
-    tries = np.arange(-1.0, 1.001, 0.01)
-    for begin in np.arange(0, whole - length / 2, length):
-        part = (times >= begin) & (times < begin + length) & np.isfinite(speed)
-        inside = part & (times + offset > own_times[0]) & (times + offset < own_times[-1])
-        if inside.sum() < 20 or np.std(speed[inside]) < 0.02 * np.nanmax(np.abs(speed)):
-            continue
-        theirs = np.abs(speed[inside])
-        scale = np.interp(times[inside] + offset, own_times, own).sum() / max(theirs.sum(), 1e-9)
-        sums = [
-            ((np.interp(times[inside] + offset + each, own_times, own) - scale * theirs) ** 2).sum() for each in tries
-        ]
-        middles.append(begin + length / 2)
-        offsets.append(offset + tries[int(np.argmin(sums))])
-    if len(middles) < 4:
-        return 0.0, float(np.median(offsets)) if offsets else offset
-    x, y = np.array(middles), np.array(offsets)
-    rate = slope(x, y)[0]
-    return rate, float(np.median(y - rate * x))
+def _clock(own: tuple[Array, Array], log: tuple[Array, Array], offset: float) -> tuple[float, float]:
+    """Return how much faster the capture's clock runs, and the offset, from the best offsets of parts of the log.
+
+    own, log: times and speeds.
+    """
+    times, speed = log
+    length, tries = max(10.0, times[-1] / 12), np.arange(-1.0, 1.001, 0.01)
+    parts = []
+    for begin in np.arange(0, times[-1] - length / 2, length):
+        inside = (times >= begin) & (times < begin + length) & np.isfinite(speed)
+        inside &= (times + offset > own[0][0]) & (times + offset < own[0][-1])
+        if inside.sum() >= LEAST_ROWS and np.std(speed[inside]) > 0.02 * np.nanmax(speed):
+            lines = np.stack([np.interp(times[inside] + offset + each, *own) for each in tries])
+            scale = lines.sum() / len(tries) / max(speed[inside].sum(), 1e-9)
+            sums = ((lines - scale * speed[inside]) ** 2).sum(axis=1)
+            parts.append((begin + length / 2, offset + tries[int(np.argmin(sums))]))
+    middles, offsets = np.array(parts or [(0.0, offset)]).T
+    rate = slope(middles, offsets)[0] if len(parts) > 3 else 0.0
+    return rate, float(np.median(offsets - rate * middles))

@@ -13,13 +13,12 @@ from decimal import Decimal
 from importlib.metadata import version
 from pathlib import Path
 
-from . import cards
 from .errors import CaptureError, SetupError
 from .flight import Flight, read_flight
 from .incidents import is_command
 from .install import ask
 from .limits import Limits
-from .report import write_report
+from .report import cards, write_report
 from .scratch import scratch, write_whole
 from .sources import controllers
 from .tshark import Record, Tshark
@@ -32,7 +31,7 @@ LATER = 1  # seconds in which a message that began in time may end
 def write_case(capture: Path, number: int, tshark: Tshark, out: Path) -> str:
     """Write the zip of a fault, 1 for the first; returns what is in it. Raises YappError."""
     flight = read_flight(capture, tshark, has_begin=True)
-    told, said = cards.read(capture, tshark, [number])
+    told, said = cards(capture, tshark, [number])
     card = next((one for one in told if one["incident"] == number), None)
     if card is None:
         raise CaptureError("; ".join([f"{capture} has no fault {number}: -z yapp,faults lists all", *said]))

@@ -166,16 +166,14 @@ def _convert(given: argparse.Namespace) -> int:
         partial = f"read in part: {result.partial}" if result.partial else None
         said = (result.failure, partial, *result.lacks, *result.notes)
         _say(f"{result.capture}: {text}" for text in said if text)
-    rows = sum(sum(result.messages.values()) for result in results)
-    whole = count_of(len(results), "capture")
+    rows, whole = sum(sum(result.messages.values()) for result in results), count_of(len(results), "capture")
     _say([f"{whole}, {count_of(rows, 'row')} in {given.out}"])
-    failed, lacking = (sum(map(bool, each)) for each in zip(*(
-        (result.failure or result.partial, result.lacks) for result in results), strict=True))  # fmt: skip
+    failed = sum(bool(result.failure or result.partial) for result in results)
+    lacking = sum(bool(result.lacks) for result in results)
     if failed:
         _say([f"{failed} of {whole} failed: the lines above say why"])
     if lacking:
-        verb = "was" if lacking == 1 else "were"
-        _say([f"{lacking} of {whole} {verb} not decoded completely: the lines above say what to set"])
+        _say([f"{lacking} of {whole} not decoded completely: the lines above say what to set"])
     return FAILED if failed else INCOMPLETE if lacking else 0
 
 

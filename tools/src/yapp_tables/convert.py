@@ -18,15 +18,17 @@ from typing import Any, Literal
 
 from tqdm import tqdm
 
-from .dataset import DataSet, Result, StrPath, flight_id, plain_name
-from .errors import CaptureError, SetupError, YappError, need
+from .dataset import DataSet, Result, StrPath, flight_id
+from .errors import SetupError, YappError, need
 from .flight import Flight
-from .tables import catalogue_version, nothing_in, present
+from .tables import catalogue_version
 from .tshark import Record, Tshark, check_file
 from .writers import Target, Writer
 
 Kind = Literal["parquet", "csv", "delta", "mf4", "mcap"]
 SCHEDULER_SECONDS = 10
+# What tells the form of a capture: `flight` is the name of flight.pcapng.gz.
+SUFFIXES = re.compile(r"(\.(gz|zst|lz4|pcapng|pcap|cap|log|txt|yapp|candump))+$", re.IGNORECASE)
 # The module and the function that write a kind, and the extra that it needs: imported only when it is asked for.
 KINDS = {
     "parquet": ("writers", "write_parquet", ""),
@@ -205,20 +207,17 @@ def _convert(capture: Path, config: Config, dataset: DataSet, made: str) -> Resu
         here = made_by(config.tshark, export.fields)
         if here != made:
             raise SetupError(f"the machine that works on it has another plugin or catalogue: {here}, not {made}")
-        if not present(export):
-            raise CaptureError(nothing_in(capture, export, config.tshark.filter))
         flight = Flight(capture, export)
         tables = flight.tables(capture, config.tshark.options, Path(config.bench) if config.bench else None)
-        name = f"{plain_name(capture)}-{flight.flight_id[:8]}{'.partial' if export.partial else ''}"
+        name = f"{SUFFIXES.sub('', capture.name)}-{flight.flight_id[:8]}{'.partial' if export.partial else ''}"
         folder = aside / "result"
         folder.mkdir()
         before = dataset.find(flight.flight_id)
         writer(config.to)(tables, Target(folder, name, dataset.url, flight.flight_id))
         files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
         counts = {name: len(rows) for name, rows in tables.items()}
-        result = Result(
-            flight.flight_id, str(capture), made, files, counts, export.partial, export.lacks, None, flight.notes
-        )
+        known = flight.flight_id, str(capture), made, files, counts, export.partial, export.lacks
+        result = Result(*known, notes=flight.notes)
         dataset.place(folder, result)
         if before and config.to == "delta" and (gone := before.messages.keys() - counts.keys()):
             need(f"{__package__}.delta", "delta").delete(dataset.url, flight.flight_id, gone)

@@ -20,7 +20,6 @@ from .tables import SCHEMA
 
 StrPath = str | os.PathLike[str]
 NOTES = ".yapp-tables"
-SUFFIXES = (".gz", ".zst", ".lz4", ".pcapng", ".pcap", ".cap", ".log", ".txt", ".yapp", ".candump")
 
 
 @dataclass(frozen=True)
@@ -47,14 +46,6 @@ def flight_id(capture: Path) -> str:
     """Return the name of a capture's content: the first 16 digits of its SHA-256."""
     with capture.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:16]
-
-
-def plain_name(capture: Path) -> str:
-    """Return a capture's name without what tells its form: `flight` of flight.pcapng.gz."""
-    plain = capture.name
-    while Path(plain).suffix.lower() in SUFFIXES:
-        plain = Path(plain).stem
-    return plain
 
 
 class DataSet:

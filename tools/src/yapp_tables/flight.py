@@ -21,7 +21,7 @@ from .records import TABLES, column, columns_of, faults, table, to_write
 from .scratch import scratch
 from .series import samples
 from .steps import point_columns, points, steps
-from .tables import HEAD, catalogue_version, nothing_in, present, read_rows
+from .tables import HEAD, catalogue_version, present, read_rows
 from .tables import messages as catalogue
 from .tshark import Export, Record, Tshark
 
@@ -60,7 +60,7 @@ class Flight(Mapping[str, pa.Table]):
         self.summary = table(export.records["summary"], self.records["summary"])
         known, found = catalogue(export.fields), present(export)
         if not found:
-            raise CaptureError(nothing_in(capture, export))
+            raise CaptureError(": ".join([f"{capture}: no YAPP messages in it", *self.left_out]))
         self.titles: dict[str, str] = {name: schema.metadata[b"title"].decode() for name, schema in known.items()}
         wanted = [name for name in known if not messages or name in messages]
         for name in messages or ():
@@ -121,7 +121,7 @@ class Flight(Mapping[str, pa.Table]):
         bench = aligned(log, found) if log else None
         if bench:
             self.notes.append(bench.said)
-        columns = {each[0]: column(*each) for each in point_columns(found, list(bench.columns) if bench else [])}
+        columns = [column(*each) for each in point_columns(found, bench)]
 
         def timed(rows: Iterator[Record], schema: pa.Schema) -> pa.Table:
             return table((row | {"time": Decimal(start + round(row["at"] * 1e9)).scaleb(-9)} for row in rows), schema)
@@ -131,7 +131,7 @@ class Flight(Mapping[str, pa.Table]):
             "faults": self.faults,
             "summary": self.summary,
             "steps": timed(steps(found), self.records["steps"]),
-            "points": timed(points(found, bench), pa.schema([*self.records["points"], *columns.values()])),
+            "points": timed(points(found, bench), pa.schema([*self.records["points"], *columns])),
             "flights": pa.Table.from_pylist([self._row(capture, options)], self.records["flights"]),
         }
         about = {"source_file": self.name, "flight_id": self.flight_id}

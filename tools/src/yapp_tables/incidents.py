@@ -14,21 +14,15 @@ from .tables import said
 
 Record = dict[str, Any]
 Messages = Mapping[str, pa.Schema]
-# Events of one controller that are no further apart than this, in seconds, are one incident.
-TOGETHER = 2.0
+TOGETHER = 2.0  # seconds: events of one controller that are no further apart are one incident
 INCIDENT = ("fault", "reboot", "silence", "stale")
-# What an event other than a fault means; those of the first kind are told one by one, the others counted for a source,
-# under their own name where none stands here.
-SINGLE = {
-    "reboot": "reboot",
-    "silence": "silence",
+SERIOUS = ("fault", "reboot", "silence", "disabled", "bus", "absent", "shared")  # these come first
+# What an event means, other than a fault, or what nobody knows; of its own name where none stands here.
+TEXTS = {
     "disabled": "Command disabled",
-    "bus": "bus",
     "absent": "never came",
     "shared": "two controllers share this ID: its other events are left out",
     "jump": "the controller's clock jumped ahead",
-}
-COUNTED = {
     "clock": "the capture's clock went back",
     "missing": "messages missing by Seq No",
     "dropped": "packets dropped while capturing",
@@ -39,8 +33,7 @@ COUNTED = {
     "skipped": "bytes of no frame",
     "invalid": "undefined value",
 }
-ELSEWHERE = ("fault", "unknown")  # these have rows of their own
-SERIOUS = ("fault", "reboot", "silence", "disabled", "bus", "absent", "shared")  # these come first
+SINGLE = ("reboot", "silence", "disabled", "bus", "absent", "shared", "jump")  # told one by one, others are counted
 CALM = 3.0  # seconds that a controller takes to be as before, after a reboot or a Command that was disabled
 
 
@@ -116,53 +109,43 @@ def fault_rows(messages: Messages, events: list[Record], end: float) -> list[Rec
     """Each fault from raised to cleared, or to the end of the capture where `end` is None."""
     rows: list[Record] = []
     open_rows: dict[tuple[str, str, str], Record] = {}
-    for event in events:
-        if event["kind"] != "fault":
-            continue
+    for event in (event for event in events if event["kind"] == "fault"):
         key = event["who"], event["message"], event["flag"]
         if event["event"] == "raised" or (event["event"] == "cleared" and key not in open_rows):
             flag = flag_of(messages, event)
+            what = said(flag.metadata)["title"] if flag else event["flag"]
             # One that is cleared alone was raised before what a filter let through.
             begin = event["at"] - (event["active"] or 0.0)
-            row = _row(
-                event,
-                said(flag.metadata)["title"] if flag else event["flag"],
-                begin=begin,
-                end=None,
-                length=end - begin,
-            )
-            open_rows[key] = row
-            rows.append(row)
+            open_rows[key] = _row(event, what, begin=begin, end=None, length=end - begin)
+            rows.append(open_rows[key])
         if event["event"] != "raised" and key in open_rows:
-            row = open_rows.pop(key)
-            row["end"] = event["at"] if event["event"] == "cleared" else None
-            row["length"] = event["active"]
+            end_ = event["at"] if event["event"] == "cleared" else None
+            open_rows.pop(key).update(end=end_, length=event["active"])
     return rows
 
 
 def other_rows(events: list[Record]) -> list[Record]:
     """Reboots, silences and the like one by one; what may come often as one row for each source and message."""
-    rows: dict[tuple[str, ...], Record] = {}
+    rows: dict[tuple[object, ...], Record] = {}
     for number, event in enumerate(events):
         kind, length = event["kind"], event["length"] or 0.0
-        if kind in ELSEWHERE:
+        if kind in ("fault", "unknown"):  # these have rows of their own
             continue
-        what = SINGLE.get(kind) or COUNTED.get(kind) or str(kind)
+        what = TEXTS.get(kind, str(kind))
         if kind == "silence" and event["is_command"]:
             what = "Commands lost"
-        if kind == "bus":
+        elif kind == "bus":
             what = f"bus {str(event['what']).replace('_', ' ')}"
-        if kind == "invalid":
+        elif kind == "invalid":
             what = f"{what}: {event['field']} {event['value']}"
-        key = (kind, event["who"], event["title"], what) if kind not in SINGLE else (str(number),)
+        key = (number,) if kind in SINGLE else (kind, event["who"], event["title"], what)
         row = rows.setdefault(key, _row(event, what, count=0, at=[]))
         row["count"] += event["count"] or 1
         row["at"].append(event["at"])
         row["end"] = event["at"]
         if kind in ("silence", "disabled"):
-            row["end"], row["length"] = event["at"] + length, length
-        if kind == "disabled" and event["length"] is None:
-            row["end"] = None
+            is_open = kind == "disabled" and event["length"] is None
+            row["end"], row["length"] = None if is_open else event["at"] + length, length
     return list(rows.values())
 
 
@@ -183,27 +166,31 @@ def joined(rows: list[Record]) -> list[Record]:
     found: list[Record] = []
     latest: dict[object, Record] = {}
     for row in sorted(rows, key=lambda row: float(row["begin"])):
-        one = row["controller"]
-        last = latest.get(one) if row["kind"] in INCIDENT and one else None
-        if last and (last["until"] is None or row["begin"] <= last["until"] + TOGETHER):
-            last["rows"].append(row)
-            last["until"] = None if last["until"] is None or row["end"] is None else max(last["until"], row["end"])
-            continue
-        incident = {"until": row["end"], "rows": [row]}
-        found.append(incident)
-        if row["kind"] in INCIDENT and one:
-            latest[one] = incident
+        who = row["controller"] if row["kind"] in INCIDENT else None
+        incident = latest.get(who) if who else None
+        if incident is None or (incident["until"] is not None and row["begin"] > incident["until"] + TOGETHER):
+            incident = {"until": row["end"], "rows": []}
+            found.append(incident)
+            latest[who] = incident
+        incident["rows"].append(row)
+        incident["until"] = _last([incident["until"], row["end"]])
     for incident in found:
         rows = incident["rows"]
         fastest = min(row["every"] for row in rows)
         first = [row for row in rows if row["every"] == fastest or row["kind"] == "fault"]
-        incident["begin"] = min(row["begin"] for row in first)
-        ends = [row["end"] for row in first]
-        incident["until"] = None if None in ends else max(ends)
-        incident["kinds"] = sorted({row["kind"] for row in rows})
-        incident["what"] = ", ".join(dict.fromkeys(row["what"] for row in rows))
-        incident["is_fault"] = any(row["kind"] == "fault" for row in rows)
-        incident["is_serious"] = any(row["kind"] in SERIOUS for row in rows)
         fault = next((row for row in rows if row["kind"] == "fault"), rows[0])
-        incident["source"], incident["stopped"] = fault["source"], rows[0].get("stopped")
+        incident |= {
+            "begin": min(row["begin"] for row in first),
+            "until": _last([row["end"] for row in first]),
+            "kinds": sorted({row["kind"] for row in rows}),
+            "what": ", ".join(dict.fromkeys(row["what"] for row in rows)),
+            "is_fault": fault["kind"] == "fault",
+            "is_serious": any(row["kind"] in SERIOUS for row in rows),
+            "source": fault["source"],
+            "stopped": rows[0].get("stopped"),
+        }
     return found
+
+
+def _last(ends: list[float | None]) -> float | None:
+    return None if None in ends else max(ends)  # type: ignore[type-var]

@@ -81,12 +81,12 @@ def minutes_left(times: Array, values: Array, high: float) -> float | None:
 def beyond(one: Samples, name: str, limits: tuple[float, float]) -> list[Record]:
     """Say when a value was outside its limits first and last, how far at most, and for how long."""
     found, values = [], one.columns[name]
-    for word, limit, out in (("below", limits[0], values < limits[0]), ("above", limits[1], values > limits[1])):
+    for word, limit, sign in zip(("below", "above"), limits, (-1, 1), strict=True):
+        out = sign * values > sign * limit
         if out.any():
-            value = float(np.nanmax(values) if word == "above" else np.nanmin(values))
             span = {"at": float(one.times[out][0]), "end": float(one.times[out][-1] + one.every)}
-            found.append(span | {"kind": "limit", "value": value, "limit": limit, "word": word,
-                                 "seconds": float(out.sum() * one.every)})  # fmt: skip
+            how = {"kind": "limit", "limit": limit, "word": word, "seconds": float(out.sum() * one.every)}
+            found.append(span | how | {"value": sign * float(np.nanmax(sign * values))})
     rising = np.where(one.flying, values, np.nan)  # only in flight it goes on to rise
     left = minutes_left(one.times, rising, limits[1])
     if left is not None and left < 10 and not found:

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import html
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,82 +25,68 @@ WIDTH, HEIGHT = 600, 100  # of a picture, in its own units
 Found = Sequence[Samples]  # one message of all sources
 
 
-@dataclass
-class Measure:
-    """A column of the matrix. figure: the field whose picture shows more; cells: {controller: value}."""
-
-    title: str
-    unit: str
-    figure: str = ""
-    cells: dict[int, float] = field(default_factory=dict)
-
-
 class Matrix:
-    """Measures of all controllers."""
+    """Measures of all controllers. cells: {(title, unit, field whose picture shows more): {controller: value}}."""
 
     def __init__(self, messages: Sequence[Found], sources: Sequence[Record]) -> None:
         """sources: of the page, each with its controller."""
         self.sources, self.messages = sources, messages
-        self.measures: dict[tuple[str, str], Measure] = {}
+        self.cells: dict[tuple[str, str, str], dict[int, float]] = {}
         # A message that is sent to all controllers of a bus, such as a command, is none of one.
         leads = [found for found in messages if found[0].speed() or found[0].supply()] or list(messages[:1])
-        self.silent = {
-            sources[one.number]["controller"]
-            for found in leads
-            for one in found
-            if max(other.times[-1] for other in found) - one.times[-1] > LATE * one.every
-        }
+        last = {id(one): max(other.times[-1] for other in found) for found in leads for one in found}
+        leading = [one for found in leads for one in found]
+        self.silent = {self.whose(one) for one in leading if last[id(one)] - one.times[-1] > LATE * one.every}
         self.labels: dict[int, str] = {}
-        for source in (sources[one.number] for found in leads for one in found):
-            self.labels.setdefault(source["controller"], source["label"])
+        for one in leading:
+            self.labels.setdefault(self.whose(one), sources[one.number]["label"])
+
+    def whose(self, one: Samples) -> int:
+        """Return the controller of a source."""
+        return int(self.sources[one.number]["controller"])
 
     def count(self, title: str, rows: Sequence[Record]) -> None:
         """Count events, {number: of the source on the page}, of each controller."""
-        measure = self.measures.setdefault((title, ""), Measure(title, ""))
-        measure.cells = dict.fromkeys(self.labels, 0.0)
-        for row in rows:
-            who = self.sources[row["number"]]["controller"]
-            if who in measure.cells:
-                measure.cells[who] += row.get("count", 1)
+        counts = Counter(self.sources[row["number"]]["controller"] for row in rows)
+        self.cells[title, "", ""] = {who: float(counts[who]) for who in self.labels}
 
     def measure(self) -> None:
         """Measure what the values tell. Means are of the flight."""
-        for one in (one for found in self.messages for one in found):
+        for one in (one for found in self.messages for one in found if self.whose(one) in self.labels):
             for name in one.measured(*DEGREES):
                 self._add(one, name, "max", "°C", one.columns[name], np.nanmax)
             if pair := one.supply():
                 volts, amperes = (one.columns[name] for name in pair)
-                watts, hours = volts * amperes, _hours(one)
+                watts, gaps = volts * amperes, np.diff(one.times)
+                hours = np.where(gaps > LATE * one.every, 0.0, gaps) / 3600  # nothing counts where nothing came
+                energy, charge = ((values[1:] + values[:-1]) / 2 * hours for values in (watts, amperes))
                 self._add(one, pair[1], "mean", "A", np.where(one.flying, amperes, np.nan), np.nanmean)
                 self._add(one, pair[1], "peak", "A", amperes, np.nanmax)
                 self._add(one, pair[1], "power peak", "W", watts, np.nanmax)
-                self._add(one, pair[1], "energy", "Wh", _between(watts) * hours, np.nansum)
-                self._add(one, pair[1], "charge", "Ah", _between(amperes) * hours, np.nansum)
+                self._add(one, pair[1], "energy", "Wh", energy, np.nansum)
+                self._add(one, pair[1], "charge", "Ah", charge, np.nansum)
                 self._add(one, pair[0], "sag", "V", _sags(one, volts), np.nanmax)
             if pair := one.speed():
-                error = np.abs(one.columns[pair[0]] - one.columns[pair[1]])
-                self._add(
-                    one, pair[0], "error mean", one.unit_of(pair[0]), np.where(one.flying, error, np.nan), np.nanmean
-                )
+                error = np.where(one.flying, np.abs(one.columns[pair[0]] - one.columns[pair[1]]), np.nan)
+                self._add(one, pair[0], "error mean", one.unit_of(pair[0]), error, np.nanmean)
 
     def _add(self, one: Samples, name: str, what: str, unit: str, values: Array, measure: Any) -> None:
         """Measure a value of a source; nothing where it never had one."""
-        controller = self.sources[one.number]["controller"]
-        if np.isfinite(values).any() and controller in self.labels:
+        if np.isfinite(values).any():
             title = f"{one.title_of(name)} {what}" if unit not in ("Ah", "Wh", "W") else what.capitalize()
-            made = Measure(title, unit, f"{one.message}.{name}")
-            self.measures.setdefault((title, unit), made).cells[controller] = float(measure(values))
+            cells = self.cells.setdefault((title, unit, f"{one.message}.{name}"), {})
+            cells[self.whose(one)] = float(measure(values))
 
     def html(self) -> str:
         """Return it as a table; a click on a row shows the lines of this controller only."""
-        measures = [one for one in self.measures.values() if one.cells]
         heads = "".join(
-            f"<th>{html.escape(one.title)}{f', {html.escape(one.unit)}' * bool(one.unit)}</th>" for one in measures
+            f"<th>{html.escape(f'{title}, {unit}' if unit else title)}</th>" for title, unit, _ in self.cells
         )
         lines = [f"<thead><tr><th>controller</th>{heads}</tr></thead>"]
         for who, label in self.labels.items():
             # The mean of a part of the flight is no measure of the controller.
-            cells = [_cell(one, who, who in self.silent and one.title.endswith("mean")) for one in measures]
+            cells = [_cell(values, unit, figure, who, who in self.silent and title.endswith("mean"))
+                     for (title, unit, figure), values in self.cells.items()]  # fmt: skip
             lines.append(_line(who, label, cells))
         return "".join(lines)
 
@@ -110,33 +96,24 @@ def _line(who: int, label: str, cells: Sequence[str]) -> str:
     return f"<tr data-controller={who}>{lead}{''.join(cells)}</tr>"
 
 
-def _cell(measure: Measure, who: int, is_plain: bool = False) -> str:
+def _cell(values: Mapping[int, float], unit: str, figure: str, who: int, is_plain: bool) -> str:
     """One value, with a shade where it is far from the others, unless it is plain, and an arrow that says which way."""
-    if who not in measure.cells:
+    if who not in values:
         return "<td></td>"
-    value = measure.cells[who]
-    others = np.array([other for one, other in measure.cells.items() if one != who])
-    text, shade, title = f"{value:.{DIGITS.get(measure.unit, 0)}f}", 0, ""
+    value = values[who]
+    others = np.array([other for one, other in values.items() if one != who])
+    text, shade, title = f"{value:.{DIGITS.get(unit, 0)}f}", 0, ""
     if len(others) > 1 and not is_plain:
         middle = float(np.median(others))
-        apart, least = 1.5 * float(np.median(np.abs(others - middle))), LEAST.get(measure.unit, 0.001)
-        usual = max(apart, USUAL * abs(middle), least)
+        apart = 1.5 * float(np.median(np.abs(others - middle)))
+        usual = max(apart, USUAL * abs(middle), LEAST.get(unit, 0.001))
         # Where several are alike, on one bus for example, none of them is the odd one.
         beside = sum(abs(others - value) < abs(value - middle) / 2)
         shade = sum(abs(value - middle) / usual >= step for step in SHADES) if beside <= (len(others) > 5) else 0
-        title = f"the median of the others is {middle:.4g} {measure.unit}".rstrip()
+        title = f"the median of the others is {middle:.4g} {unit}".rstrip()
         text = f"{'▲' if value > middle else '▼'} {text}" if shade else text
     about = f" class='number far{shade}'" if shade else " class=number"
-    return f"<td{about} data-figure='{html.escape(measure.figure)}' title='{html.escape(title)}'>{text}</td>"
-
-
-def _between(values: Array) -> Array:
-    return (values[1:] + values[:-1]) / 2
-
-
-def _hours(one: Samples) -> Array:
-    """Return the time between two messages in hours; nothing counts where nothing came."""
-    return np.where(np.diff(one.times) > LATE * one.every, 0.0, np.diff(one.times)) / 3600
+    return f"<td{about} data-figure='{html.escape(figure)}' title='{html.escape(title)}'>{text}</td>"
 
 
 def _sags(one: Samples, values: Array) -> Array:
@@ -161,23 +138,20 @@ def multiples(
     heads: list[str] = []
     rows: dict[int, dict[int, str]] = {}
     for found in messages:
-        lead = found[0]
-        shown = [*(lead.speed() or ())[:1], *reversed(lead.supply() or ()), *lead.measured(*DEGREES)]
+        lead, pair = found[0], found[0].speed()
+        shown = [*(pair or ())[:1], *reversed(lead.supply() or ()), *lead.measured(*DEGREES)]
         shown += [name for name in lead.names("value") if name in named]
         for name in list(dict.fromkeys(shown))[:COLUMNS]:
-            pair = lead.speed()
             drawn = [pair[1], name] if pair and name == pair[0] else [name]
             values = np.concatenate([one.columns[each] for one in found for each in drawn])
-            if np.isfinite(values).any() and np.nanmin(values) < np.nanmax(values):
-                ends = float(np.nanmin(values)), float(np.nanmax(values))
-                heads.append(
-                    f"<b>{html.escape(lead.title_of(name))}</b> <span class=pale>{_span(lead, name, ends)}</span>"
-                )
+            ends = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
+            if ends[0] < ends[1]:
+                title = html.escape(lead.title_of(name))
+                heads.append(f"<b>{title}</b> <span class=pale>{_span(lead, name, values)}</span>")
                 for one in found:
-                    source = matrix.sources[one.number]
-                    bands = faults.get(source["controller"], ())
-                    picture = _picture(one, source, drawn, ends, bands, WIDTH / max(length, 0.001))
-                    rows.setdefault(source["controller"], {})[len(heads)] = picture
+                    who, about = matrix.whose(one), matrix.sources[one.number]
+                    bands = [(begin / length, end / length) for begin, end in faults.get(who, ())]
+                    rows.setdefault(who, {})[len(heads)] = _picture(one, about, drawn, ends, bands, length)
     lines = [f"<thead><tr><th></th>{''.join(f'<th>{head}</th>' for head in heads)}</tr></thead>"] if heads else []
     for who, label in matrix.labels.items():
         if who in rows:
@@ -185,9 +159,11 @@ def multiples(
     return "".join(lines)
 
 
-def _span(one: Samples, name: str, ends: tuple[float, float]) -> str:
+def _span(one: Samples, name: str, values: Array) -> str:
     digits = DIGITS.get(one.unit_of(name), 2)
-    return html.escape(f"{ends[0]:.{digits}f} to {ends[1]:.{digits}f} {one.unit_of(name)}".strip())
+    known = values[np.isfinite(values)]
+    span = f"{known.min():.{digits}f} to {known.max():.{digits}f} {one.unit_of(name)}" if len(known) else "no value"
+    return html.escape(span.strip())
 
 
 def _picture(
@@ -196,24 +172,25 @@ def _picture(
     names: Sequence[str],
     ends: tuple[float, float],
     bands: Sequence[tuple[float, float]],
-    scale: float,
+    length: float,
 ) -> str:
-    """One picture: what was commanded, pale and wide, what was measured, and bands where there was a fault."""
+    """One picture: what was commanded, pale and wide, what was measured, and bands where there was a fault.
+
+    bands: shares of the length of the flight.
+    """
     times, lines = thin(one, [one.columns[name] for name in names], SAMPLES)
     shapes = "".join(
-        f"<rect class=band x='{begin * scale:.0f}' width='{max((end - begin) * scale, 4):.0f}' height='{HEIGHT}'/>"
+        f"<rect class=band x='{begin * WIDTH:.0f}' width='{max((end - begin) * WIDTH, 4):.0f}' height='{HEIGHT}'/>"
         for begin, end in bands
     )
     for kind, values in zip(("told", "own")[-len(lines) :], lines, strict=True):
         y = HEIGHT - 3 - (values - ends[0]) / (ends[1] - ends[0]) * (HEIGHT - 6)
         is_first = np.isnan(np.concatenate([[np.nan], y[:-1]]))  # a line has a gap where there is no value
-        words = (f"{'M' if first else 'L'}{across:.0f} {down:.0f}"
-                 for across, down, first in zip(times * scale, y, is_first, strict=True) if down == down)  # fmt: skip
+        words = (f"{'M' if first else 'L'}{across:.0f} {down:.0f}" for across, down, first
+                 in zip(times * WIDTH / length, y, is_first, strict=True) if down == down)  # fmt: skip
         shapes += f"<path class={kind} d='{''.join(words)}'/>"
-    own = one.columns[names[-1]]
-    is_there = np.isfinite(own).any()
-    said = _span(one, names[-1], (float(np.nanmin(own)), float(np.nanmax(own)))) if is_there else "no value"
-    label = html.escape(f"{source['label']}, {one.title_of(names[-1])}") + f": {said}"
+    label = html.escape(f"{source['label']}, {one.title_of(names[-1])}")
+    label += f": {_span(one, names[-1], one.columns[names[-1]])}"
     return (
         f"<svg viewBox='0 0 {WIDTH} {HEIGHT}' preserveAspectRatio=none role=img aria-label='{label}' "
         f"data-colour={source['colour']}><title>{label}</title>{shapes}</svg>"

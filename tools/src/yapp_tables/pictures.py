@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .differs import Found, Windows, calm_samples, differing, flying, sagging
+from .differs import Found, Windows, calm_samples, differing, flying, middle_of, sagging
 from .limits import Limits, beyond
 from .series import DEGREES, Array, thin
 
@@ -19,8 +19,7 @@ from .series import DEGREES, Array, thin
 SAMPLES = 12_000
 CLOUD = 500  # points of one source, and of its largest values
 CLOUD_ENDS = 20
-ODD, ODD_ONCE = 1.25, 1.5  # times the others' current at the same speed, over the flight and once
-APART = 0.1  # and by this share of the largest
+ODD, APART = 0.5, 0.1  # of the others' current at the same speed, that a point is away, and of the largest
 ODD_SHARE = 0.1  # of the points of a source: with fewer it is not called odd
 # Shades of one source from another's: (bus, ID) of a controller, not its place in a list, says its colour.
 COLOURS, IDS_OF_A_BUS = 16, 8
@@ -48,11 +47,8 @@ class Pictures:
         self.bytes = bytearray()
         self._leads: dict[object, Record] = {}  # the first source of each controller
 
-    def add(self, found: Found, alarms: set[str], excused: Mapping[str, Windows]) -> None:
-        """Draw a message of all sources, that with the speed first.
-
-        alarms: the flags of it that were faults, each by its column; excused: of sources, when they are not compared.
-        """
+    def add(self, found: Found, excused: Mapping[str, Windows]) -> None:
+        """Draw a message of all sources, that with the speed first. excused: of sources, when they are not compared."""
         self.phases = flying(found) or self.phases
         for one in found:
             bus, number = next(iter(one.ids))
@@ -63,7 +59,7 @@ class Pictures:
         self.messages.append(found)
         names = found[0].names("value")
         limited = [row for name in names for one in found for row in beyond(one, name, self.limits.of(one, name))]
-        self.differs += differing(found, alarms) + limited + sagging(found, self.phases)
+        self.differs += [*differing(found), *limited, *sagging(found, self.phases)]
         self._cloud(found)
         self._figures(found, names)
 
@@ -135,24 +131,23 @@ class Pictures:
         lead, pair, speeds = found[0], found[0].supply(), found[0].speed()
         if not pair or not speeds:
             return
-        calm = [np.where(one.calm, one.columns[pair[1]], np.nan) for one in found]
-        odd, times = _apart([one.columns[speeds[0]] for one in found], calm)
+        usual = _usual(found, speeds[0], pair[1])
+        largest = max(np.nanmax(np.abs(one.columns[pair[1]]), initial=0.0) for one in found)
         said, title, lines = [], f"{lead.title_of(pair[1])} over {lead.title_of(speeds[0])}", []
-        for one, is_odd, much in zip(found, odd, times, strict=True):
+        for one, beside in zip(found, usual, strict=True):
             across, up = one.columns[speeds[0]], one.columns[pair[1]]
+            is_odd = one.calm & (np.abs(up - beside) > np.maximum(ODD * np.abs(beside), APART * largest))
             good = np.flatnonzero(np.isfinite(across) & np.isfinite(up))
             if len(good):
                 order = good[np.argsort(up[good])]
-                marked = good[is_odd[good]][: CLOUD // 2]
-                ends = np.concatenate([order[:CLOUD_ENDS], order[-CLOUD_ENDS:], marked])
+                ends = np.concatenate([order[:CLOUD_ENDS], order[-CLOUD_ENDS:], good[is_odd[good]][: CLOUD // 2]])
                 kept = np.unique(np.concatenate([good[:: -(-len(good) // CLOUD)], ends]))
                 points = {"x": self._keep(across[kept], "<f4"), "y": self._keep(up[kept], "<f4")}
-                lines.append(
-                    {"source": one.number, "name": title, "odd": np.flatnonzero(is_odd[kept]).tolist()} | points
-                )
+                odd = np.flatnonzero(is_odd[kept]).tolist()
+                lines.append({"source": one.number, "name": title, "odd": odd} | points)
             if is_odd.mean() > ODD_SHARE:
-                label = self.sources[one.number]["label"]
-                said.append(f"{label} in {is_odd.mean():.0%} of its points, {much:.2f} times the others'")
+                label, times = self.sources[one.number]["label"], np.nanmedian(up[is_odd] / beside[is_odd])
+                said.append(f"{label} in {is_odd.mean():.0%} of its points, {times:.2f} times the others'")
         about = {"title": title, "message": lead.title, "key": "", "lines": lines, "unit": lead.unit_of(pair[1])}
         self.clouds.append(about | {"across": f"{lead.title_of(speeds[0])}, {lead.unit_of(speeds[0])}", "odd": said})
 
@@ -168,35 +163,22 @@ class Pictures:
         return {"at": len(self.bytes) - len(data), "count": len(values)}
 
 
-def _apart(speed: list[Array], current: list[Array]) -> tuple[list[Array], list[float]]:
-    """Return which samples are far from the others' median at the same speed, and how many times it they are.
-
-    All are of who is so all the time.
-    """
-    odd, times = [np.zeros(len(own), bool) for own in current], [1.0] * len(current)
-    finite = [own[np.isfinite(own)] for own in speed]
-    if len(speed) < 3 or not any(map(len, finite)):
-        return odd, times
-    edges = np.quantile(np.concatenate(finite), np.linspace(0, 1, 21)[1:-1])
-    bins = [np.searchsorted(edges, own) for own in speed]
-    grid = np.full((len(speed), len(edges) + 1), np.nan)
-    for row, own, up in zip(grid, bins, current, strict=True):
+def _usual(found: Found, speed: str, current: str) -> list[Array]:
+    """Return for each sample the median of what two or more others have at the same speed, [(n)]; NaN where none."""
+    speeds = [one.columns[speed] for one in found]
+    edges = np.nanquantile(np.concatenate(speeds), np.linspace(0, 1, 21)[1:-1])
+    bins = [np.searchsorted(edges, own) for own in speeds]
+    grid = np.full((len(found), len(edges) + 1), np.nan)
+    for row, one, own in zip(grid, found, bins, strict=True):
+        up = np.where(one.calm, one.columns[current], np.nan)
         for at in np.unique(own[np.isfinite(up)]):
             row[at] = np.nanmedian(up[own == at])
-    largest = max(np.nanmax(np.abs(up), initial=0.0) for up in current)
-    for number, (own, up) in enumerate(zip(bins, current, strict=True)):
+    usual = []
+    for number, own in enumerate(bins):
         others = np.delete(grid, number, axis=0)
-        known = (np.isfinite(others).sum(axis=0) > 1) & np.isfinite(grid[number])
-        usual = np.full(len(edges) + 1, np.nan)
-        usual[known] = np.nanmedian(others[:, known], axis=0)
-        away, least = np.abs(up - usual[own]), APART * largest
-        odd[number] = (away > (ODD_ONCE - 1) * np.abs(usual[own])) & (away > least)
-        all_away = np.abs(grid[number] - usual)[known]
-        if len(all_away) and (all_away > np.maximum((ODD - 1) * np.abs(usual[known]), least / 2)).mean() > 0.5:
-            odd[number][:] = True
-        if odd[number].any():
-            times[number] = float(np.nanmedian(up[odd[number]] / usual[own][odd[number]]))
-    return odd, times
+        known = np.isfinite(others).sum(axis=0) > 1
+        usual.append(np.where(known, middle_of(others), np.nan)[own])
+    return usual
 
 
 def packed(data: bytes) -> str:

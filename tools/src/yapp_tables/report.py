@@ -6,7 +6,7 @@ from __future__ import annotations
 import html
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -16,22 +16,21 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from . import cards
 from .dataset import StrPath
 from .errors import SetupError, need
 from .flight import Flight, read_flight
-from .incidents import events_of, excused, fault_rows, faults_in, filter_of, flag_of, joined, other_rows
+from .incidents import events_of, excused, fault_rows, faults_in, filter_of, joined, other_rows
 from .limits import Limits
 from .matrix import Matrix, multiples
 from .pages import css, html_table
 from .pictures import Pictures, Record, packed
 from .scratch import write_whole
-from .series import samples
+from .series import Samples, samples
 from .sources import source_name
 from .tshark import Tshark
-from .verdict import head, merged, named
+from .verdict import head, merged, series_of
 
-MARKS = 2_000  # of a lane and source
+CARDS = 8  # of a page
 HIDDEN = ("id", "controller", "other")  # columns of the summary that the page does not show
 
 
@@ -53,7 +52,7 @@ def write_page(capture: Path, out: StrPath | None, rules: StrPath | None, tshark
     limits = Limits(Path(rules) if rules else None)
     flight = read_flight(capture, tshark, has_begin=True)
     count = faults_in(flight.events)
-    told = cards.read(capture, tshark, range(1, min(count, cards.MOST) + 1))[0] if count else []
+    told = cards(capture, tshark, range(1, min(count, CARDS) + 1))[0] if count else []
     try:
         write_report(flight, page, limits, told)
     except OSError as error:
@@ -61,183 +60,158 @@ def write_page(capture: Path, out: StrPath | None, rules: StrPath | None, tshark
     return page, flight
 
 
+def cards(capture: Path, tshark: Tshark, numbers: Iterable[int]) -> tuple[list[Record], list[str]]:
+    """Return the cards of these faults, from 1, as -z yapp,fault tells them, and what the plugin says of them.
+
+    A card has its `text`: what changed before the fault, and what else happened.
+    """
+    wanted = [f"fault,{number}{form}" for number in numbers for form in (",json", "")]
+    rows, said, text = tshark.ask(capture, wanted)
+    texts = re.split("(?m)^(?=YAPP fault: )", text)[1:]
+    return [row | {"text": own} for row, own in zip(rows, texts, strict=False) if row.get("incident") is not None], said
+
+
 def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Record] = ()) -> None:
-    """Write the page of a flight to path; told: the cards of its faults. Raises OSError."""
+    """Write the page of a flight to path; told: the cards of its faults. Raises OSError.
+
+    Seconds count from the flight's first packet, as in Wireshark.
+    """
+    start, pictures = flight.start(), Pictures(limits)
+    length = max(pc.max(rows["time"]).value - start for rows in flight.values()) / 1e9
+    events = events_of(flight.events, flight.messages, start)
+    sent = (row for row in flight.summary.to_pylist() if row["id"] is not None)
+    windows = excused(events, {(row["bus"], row["id"]): source_name(row) for row in sent})
+    found = samples(flight, start=start)
+    # First the message that says most.
+    for message in sorted(flight.messages, key=lambda name: -len(flight.messages[name])):
+        pictures.add([one for one in found.values() if one.message == message], windows)
+    rows = fault_rows(flight.messages, events, length) + other_rows(events)
+    for row in rows:
+        row["stop"] = length if row["end"] is None else row["end"]
+        pictures.source(row["source"], row)
+    _find_frames(flight, start, rows)
+    _find_stopped(found.values(), rows)
+    incidents = joined(rows)
+    _name(incidents, rows, pictures)
+    for row in (row for row in incidents if row["is_fault"]):
+        frames = {one["frame"] for one in row["rows"]}
+        row["card"] = next((f"<pre>{html.escape(one['text'])}</pre>" for one in told if one["frame"] in frames), "")
+    matrix, named = Matrix(pictures.messages, pictures.sources), {row["field"] for row in pictures.differs}
+    for title, kind in (("Faults", "fault"), ("Silences", "silence"), ("Reboots", "reboot")):
+        matrix.count(title, [row for row in incidents if row["number"] is not None and kind in row["kinds"]])
+    matrix.measure()
+    bands: dict[int, list[tuple[float, float]]] = {}
+    for row in (row for row in rows if row["kind"] == "fault"):
+        bands.setdefault(pictures.sources[row["number"]]["controller"], []).append((row["begin"], row["stop"]))
+    controllers = len({source["controller"] for source in pictures.sources if not source["is_command"]})
+    data = {
+        "name": flight.name,
+        "epoch": start / 1e9,
+        "length": length,
+        "left_out": flight.left_out,
+        "about": [
+            ["plugin", flight.plugin], ["yapp-tables", version("yapp-tables")], ["catalogue", flight.catalogue]
+        ],
+        "incidents": sorted(incidents, key=lambda row: (not row["is_serious"], float(row["begin"]))),
+        "differs": merged(pictures.differs, controllers),
+        "flight": pictures.phases,
+        "limits": pictures.limits_told(),
+        "has_default_limits": limits.is_default,
+        "rules": limits.name,
+        "sources": pictures.sources,
+        "names": [source["name"] for source in pictures.sources],
+        "times": pictures.times,
+        "figures": pictures.ordered(),
+        "clouds": pictures.clouds,
+        "lanes": _lanes(rows),
+    }  # fmt: skip
     package = files(__package__)
-    report = Report(flight, limits, told)
-    found = report.data()
-    blob = found.pop("blob")
-    parts = {"/*MATRIX*/": report.matrix.html(), "/*MULTIPLES*/": report.multiples}
-    parts |= head(found) | {"/*COLOURS*/": css()}
-    units = {"rate": ", Hz", "gap_min": ", s", "gap_mean": ", s", "gap_max": ", s"}
-    shown = (name for name in flight.summary.schema.names if name not in HIDDEN)
-    heads = {name: f"{name.replace('_', ' ')}{units.get(name, '')}" for name in shown}
-    summary = [row | {"source": source_name(row), "message": flight.title(row["message"])}
-               for row in flight.summary.to_pylist()]  # fmt: skip
-    parts |= {"/*SUMMARY*/": html_table(heads, summary)}
-    parts |= {"/*DATA*/": json.dumps(found, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")}
-    parts |= {"/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8")}
-    parts |= {"/*BLOB*/": blob, "/*PLOTLY*/": packed(need("plotly.offline", "report").get_plotlyjs().encode())}
+    parts = head(data) | {
+        "/*COLOURS*/": css(),
+        "/*MATRIX*/": matrix.html(),
+        "/*MULTIPLES*/": multiples(pictures.messages, matrix, length, bands, named),
+        "/*SUMMARY*/": _summary(flight),
+        "/*DATA*/": json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),
+        "/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8"),
+        "/*BLOB*/": packed(bytes(pictures.bytes)),
+        "/*PLOTLY*/": packed(need("plotly.offline", "report").get_plotlyjs().encode()),
+    }
     # Each mark once, from left to right: what stands for one may look like another.
     page = package.joinpath("report.html").read_text(encoding="utf-8")
     write_whole(path, re.sub("|".join(map(re.escape, parts)), lambda mark: parts[mark[0]], page))
 
 
-class Report:
-    """What the page shows, as JSON that report.js reads, and as tables.
+def _find_frames(flight: Flight, start: int, rows: list[Record]) -> None:
+    """Say of each row in which frames it lies."""
+    times = np.concatenate([table["time"].cast(pa.int64()).to_numpy() for table in flight.values()])
+    frames = np.concatenate([table["frame"].to_numpy() for table in flight.values()])
+    order = np.argsort(times, kind="stable")
+    seconds, frames = (times[order] - start) / 1e9, frames[order]
+    for row in rows:
+        first = min(int(np.searchsorted(seconds, row["begin"] - 1e-7)), len(frames) - 1)
+        last = max(first, int(np.searchsorted(seconds, row["stop"] + 1e-7, side="right")) - 1)
+        row["first"], row["last"] = int(frames[first]), int(frames[last])
 
-    Seconds count from the flight's first packet, as in Wireshark.
-    """
 
-    def __init__(self, flight: Flight, limits: Limits, told: Sequence[Record]) -> None:
-        """told: the cards of faults."""
-        self.flight, self.limits, self.told, self.start = flight, limits, told, flight.start()
-        self.end = max(pc.max(flight[name]["time"]).value - self.start for name in flight) / 1e9
-        self.pictures = Pictures(limits)
-
-    def data(self) -> Record:
-        """Return it."""
-        flight, pictures = self.flight, self.pictures
-        rows = self._draw()
-        for row in rows:
-            pictures.source(row["source"], row)
-        incidents = joined(rows)
-        for row in incidents:
-            cards_of = (card for card in self.told if any(one["frame"] == card["frame"] for one in row["rows"]))
-            if row["is_fault"] and (card := next(cards_of, None)):
-                row["card"] = f"<pre>{html.escape(card['text'])}</pre>"
-        numbers = {source["name"]: number for number, source in enumerate(pictures.sources)}
-        for row in [*incidents, *rows, *pictures.differs]:
-            row["number"] = numbers.get(row["source"])
-            row["label"] = row["source"] if row["number"] is None else pictures.sources[row["number"]]["label"]
-        for row in incidents:
-            self._lead(row)
-            row["first"] = min(one["first"] for one in row["rows"])
-            row["last"] = max(one["last"] for one in row["rows"])
-            for each in (row, *row["rows"]):
-                each["frames"] = f"{each['first']:,} to {each['last']:,}"
-                each["filter"] = filter_of(each.get("rows", [each]), each["first"], each["last"])
-        for row in pictures.differs:
-            row["has_fault"] = any(_is_near(row, one) for one in incidents)
-        self._tables(rows, incidents)
-        controllers = len({source["controller"] for source in pictures.sources if not source["is_command"]})
-        return {
-            "name": flight.name,
-            "epoch": self.start / 1e9,
-            "length": self.end,
-            "left_out": flight.left_out,
-            "about": [
-                ["plugin", flight.plugin], ["yapp-tables", version("yapp-tables")], ["catalogue", flight.catalogue]
-            ],
-            "incidents": sorted(incidents, key=lambda row: (not row["is_serious"], float(row["begin"]))),
-            "differs": merged(pictures.differs, controllers),
-            "flight": pictures.phases,
-            "limits": pictures.limits_told(),
-            "has_default_limits": self.limits.is_default,
-            "rules": self.limits.name,
-            "sources": pictures.sources,
-            "names": list(numbers),
-            "times": pictures.times,
-            "figures": pictures.ordered(),
-            "clouds": pictures.clouds,
-            "lanes": self._lanes(rows),
-            "blob": packed(bytes(pictures.bytes)),
-        }  # fmt: skip
-
-    def _lead(self, incident: Record) -> None:
-        """Call an incident without a fault by that source of its controller that came first, the one with a name."""
-        numbers = [row["number"] for row in incident["rows"] if row["number"] is not None]
-        if numbers and not incident["is_fault"]:
-            incident["number"] = min(numbers)
-            source = self.pictures.sources[incident["number"]]
-            incident |= {"source": source["name"], "label": source["label"]}
-
-    def _tables(self, rows: list[Record], incidents: list[Record]) -> None:
-        """The matrix, which counts incidents, and the small multiples."""
-        sources, faults = self.pictures.sources, [row for row in rows if row["kind"] == "fault"]
-        self.matrix = Matrix(self.pictures.messages, sources)
-        known = [row for row in incidents if row["number"] is not None]
-        for title, kind in (("Faults", "fault"), ("Silences", "silence"), ("Reboots", "reboot")):
-            self.matrix.count(title, [row for row in known if any(one["kind"] == kind for one in row["rows"])])
-        self.matrix.measure()
-        bands: dict[int, list[tuple[float, float]]] = {}
-        for row in faults:
-            end = self.end if row["end"] is None else row["end"]
-            bands.setdefault(sources[row["number"]]["controller"], []).append((row["begin"], end))
-        named = {row["field"] for row in self.pictures.differs}
-        self.multiples = multiples(self.pictures.messages, self.matrix, self.end, bands, named)
-
-    def _draw(self) -> list[Record]:
-        """Draw the flight; returns what went wrong."""
-        flight = self.flight
-        events = events_of(flight.events, flight.messages, self.start)
-        sent = (row for row in flight.summary.to_pylist() if row["id"] is not None)
-        windows = excused(events, {(row["bus"], row["id"]): source_name(row) for row in sent})
-        found = samples(flight, start=self.start)
-        # First the message that says most.
-        for message in sorted(flight.messages, key=lambda name: -len(flight.messages[name])):
-            flags = (flag_of(flight.messages, event) for event in events if event["message"] == message)
-            own = [one for one in found.values() if one.message == message]
-            self.pictures.add(own, {flag.name for flag in flags if flag}, windows)
-        rows = fault_rows(flight.messages, events, self.end) + other_rows(events)
-        self._frames(rows)
-        self._stopped(rows)
-        return rows
-
-    def _frames(self, rows: list[Record]) -> None:
-        """Say of each row in which frames it lies."""
-        tables = self.flight.values()
-        times = np.concatenate([table["time"].cast(pa.int64()).to_numpy() for table in tables])
-        frames = np.concatenate([table["frame"].to_numpy() for table in tables])
-        order = np.argsort(times, kind="stable")
-        seconds, frames = (times[order] - self.start) / 1e9, frames[order]
-        for row in rows:
-            end = self.end if row["end"] is None else row["end"]
-            first = min(int(np.searchsorted(seconds, row["begin"] - 1e-7)), len(frames) - 1)
-            last = max(first, int(np.searchsorted(seconds, end + 1e-7, side="right")) - 1)
-            row["first"], row["last"] = int(frames[first]), int(frames[last])
-
-    def _stopped(self, rows: list[Record]) -> None:
-        """Say of a Command that was lost or disabled which controllers of its bus lost speed."""
-        pairs = [(one, pair[0]) for found in self.pictures.messages for one in found if (pair := one.speed())]
-        for row in rows:
-            if not (row["is_command"] and row["kind"] in ("silence", "disabled")):
-                continue
-            slowed, least = [], np.inf
-            for one, name in pairs:
-                speed = np.abs(one.columns[name])
+def _find_stopped(found: Iterable[Samples], rows: list[Record]) -> None:
+    """Say of a Command that was lost or disabled which controllers of its bus lost speed."""
+    for row in (row for row in rows if row["is_command"] and row["kind"] in ("silence", "disabled")):
+        shares = {}  # of their speed, that is left
+        for one in found:
+            speed = np.abs(one.columns[pair[0]]) if (pair := one.speed()) else np.zeros(0)
+            if len(speed) and row["bus"] in {bus for bus, _ in one.ids}:
                 before = speed[(one.times > row["begin"] - 1) & (one.times <= row["begin"])]
-                during = (one.times > row["begin"]) & (one.times < (row["end"] or self.end) + 0.5)
-                if row["bus"] in {bus for bus, _ in one.ids} and len(before) and during.any():
-                    low, usual = np.nanmin(speed[during]), np.nanmax(before)
-                    if low < 0.9 * usual:
-                        slowed.append(one.name)
-                        least = min(least, low / usual)
-            if slowed:
-                word = "stopped" if least < 0.1 else f"slowed to {least:.0%} of their speed"
-                row["stopped"] = f"{named(slowed)} {word}"
-
-    def _lanes(self, rows: list[Record]) -> list[Record]:
-        """A lane for each flag and kind of event on the time axis, faults first; what does not last is a mark."""
-        lanes: dict[tuple[bool, str], Record] = {}
-        for row in rows:
-            is_fault = row["kind"] == "fault"
-            about = {"title": row["what"], "message": row["message"] if is_fault else "", "rows": {}}
-            lane = lanes.setdefault((not is_fault, row["what"]), about)
-            begins = ends = row["at"][:: -(-len(row["at"]) // MARKS)]
-            if is_fault or row["length"] or row["end"] is None:
-                begins, ends = [row["begin"]], [self.end if row["end"] is None else row["end"]]
-            number = row["number"]
-            marks = lane["rows"].setdefault(number, {"source": number, "begins": [], "ends": []})
-            marks["begins"] += begins
-            marks["ends"] += ends
-        return [
-            lane | {"rows": list(lane["rows"].values())} for _, lane in sorted(lanes.items(), key=lambda one: one[0][0])
-        ]
+                during = speed[(one.times > row["begin"]) & (one.times < row["stop"] + 0.5)]
+                if len(before) and len(during):
+                    shares[one.name] = np.nanmin(during) / max(np.nanmax(before), 1e-9)
+        slowed = {name: share for name, share in shares.items() if share < 0.9}
+        if slowed:
+            least = min(slowed.values())
+            word = "stopped" if least < 0.1 else f"slowed to {least:.0%} of their speed"
+            row["stopped"] = f"{series_of(list(slowed))} {word}"
 
 
-def _is_near(row: Record, incident: Record) -> bool:
-    """Return whether a fault of the same controller comes with what differs."""
-    until = np.inf if incident["until"] is None else incident["until"]
-    is_its = incident["is_fault"] and incident["source"] == row["source"]
-    return bool(is_its and incident["begin"] - 2 <= row["at"] <= until)
+def _name(incidents: list[Record], rows: list[Record], pictures: Pictures) -> None:
+    """Give incidents, rows and differences the number and label of their source, and incidents their frames."""
+    sources = pictures.sources
+    numbers = {source["name"]: number for number, source in enumerate(sources)}
+    for row in [*incidents, *rows, *pictures.differs]:
+        row["number"] = numbers.get(row["source"])
+        row["label"] = row["source"] if row["number"] is None else sources[row["number"]]["label"]
+    for row in incidents:
+        known = [one["number"] for one in row["rows"] if one["number"] is not None]
+        if known and not row["is_fault"]:  # that source of its controller which came first, the one with a name
+            lead = sources[min(known)]
+            row |= {"number": min(known), "source": lead["name"], "label": lead["label"]}
+        row["first"], row["last"] = min(one["first"] for one in row["rows"]), max(one["last"] for one in row["rows"])
+        for each in (row, *row["rows"]):
+            each["frames"] = f"{each['first']:,} to {each['last']:,}"
+            each["filter"] = filter_of(each.get("rows", [each]), each["first"], each["last"])
+    for row in pictures.differs:  # whether a fault of the same controller comes with it
+        its = [one for one in incidents if one["is_fault"] and one["source"] == row["source"]]
+        ends = [(one["begin"] - 2, np.inf if one["until"] is None else one["until"]) for one in its]
+        row["has_fault"] = any(begin <= row["at"] <= end for begin, end in ends)
+
+
+def _lanes(rows: list[Record]) -> list[Record]:
+    """A lane for each flag and kind of event on the time axis, faults first; what does not last is a mark."""
+    lanes: dict[str, Record] = {}
+    for row in sorted(rows, key=lambda row: row["kind"] != "fault"):
+        is_fault = row["kind"] == "fault"
+        about = {"title": row["what"], "message": row["message"] if is_fault else "", "rows": {}}
+        own = lanes.setdefault(row["what"], about)["rows"]
+        marks = own.setdefault(row["number"], {"source": row["number"], "begins": [], "ends": []})
+        lasts = is_fault or row["length"] or row["end"] is None
+        marks["begins"] += [row["begin"]] if lasts else row["at"]
+        marks["ends"] += [row["stop"]] if lasts else row["at"]
+    return [lane | {"rows": list(lane["rows"].values())} for lane in lanes.values()]
+
+
+def _summary(flight: Flight) -> str:
+    """Return the table of sources."""
+    units = {"rate": ", Hz", "gap_min": ", s", "gap_mean": ", s", "gap_max": ", s"}
+    shown = (name for name in flight.summary.schema.names if name not in HIDDEN)
+    heads = {name: f"{name.replace('_', ' ')}{units.get(name, '')}" for name in shown}
+    rows = flight.summary.to_pylist()
+    names = [{"source": source_name(row), "message": flight.title(row["message"])} for row in rows]
+    return html_table(heads, [row | own for row, own in zip(rows, names, strict=True)])

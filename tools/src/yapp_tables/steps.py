@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -71,7 +71,8 @@ def steps(found: Mapping[tuple[str, str], Samples]) -> Iterator[Record]:
             moved = np.flatnonzero(np.abs(told[at:] - told[at]) > NEAR * abs(change))
             end = when[at + moved[0]] if len(moved) else when[-1]
             if end - when[at] >= HOLD:
-                yield _who(one, name, when[at]) | _answer(one, name, when[at], end, told[at - 1], told[at])
+                record = {"before": float(told[at - 1]), "after": float(told[at]), "hold": float(end - when[at])}
+                yield _who(one, name, when[at]) | record | _answer(one, name, when[at], end, told[at - 1], change)
 
 
 def _who(one: Samples, field: str, time: float) -> Record:
@@ -81,34 +82,27 @@ def _who(one: Samples, field: str, time: float) -> Record:
     return about | {"source": one.controller, "message": one.message, "field": field}
 
 
-def _answer(one: Samples, field: str, begin: float, end: float, before: float, after: float) -> Record:
+def _answer(one: Samples, field: str, begin: float, end: float, before: float, change: float) -> Record:
     """Measure a step, by the controller's clock where it has one: a recorder stamps late."""
     use = (one.times >= begin - 3 * one.every) & (one.times <= end) & np.isfinite(one.columns[field])
-    times, values = one.times[use], (one.columns[field][use] - before) / (after - before)
-    clock = next(iter(one.names("clock")), "")
-    if clock and use.sum() > 2:
+    times, values = one.times[use], (one.columns[field][use] - before) / change
+    for clock in one.names("clock")[:1]:
         own = one.columns[clock][use]
-        steady = np.isfinite(own).all() and (np.diff(own) > 0).all()
-        times = own - np.median(own - times) if steady else times
+        if len(own) > 2 and np.isfinite(own).all() and (np.diff(own) > 0).all():
+            times = own - np.median(own - times)
     times = times - begin
-    reached = [_crossing(times, values, share) for share in (0.1, 0.632, 0.9)]
-    record: Record = {"before": float(before), "after": float(after), "hold": float(end - begin)}
-    record |= {"dead_time": reached[0], "lag": reached[1], "resolution": float(one.every)}
-    record["rise_time"] = None if reached[0] is None or reached[2] is None else reached[2] - reached[0]
-    behind = times > 0
-    if not behind.any():
-        return record
-    record["overshoot"] = max(0.0, float(values[behind].max()) - 1)
-    last = times > (end - begin) * 2 / 3
-    # What the value does once it has settled is noise.
-    band = max(BAND, 3 * float(values[last].std())) if last.sum() > 4 else BAND
-    outside = np.flatnonzero(behind & (np.abs(values - 1) > band))
-    if not len(outside):
-        record["settling_time"] = 0.0
-    elif outside[-1] + 1 < len(times):
-        record["settling_time"] = float(times[outside[-1] + 1])
-    if last.sum() > 1:
-        record["final_error"] = float((values[last] - 1).mean() * (after - before))
+    first, lag, last = (_crossing(times, values, share) for share in (0.1, 0.632, 0.9))
+    record: Record = {"dead_time": first, "lag": lag, "resolution": float(one.every)}
+    record["rise_time"] = None if first is None or last is None else last - first
+    times, values = times[times > 0], values[times > 0]
+    if len(times):
+        rest = values[times > (end - begin) * 2 / 3] - 1
+        # What the value does once it has settled is noise.
+        band = max(BAND, 3 * float(rest.std())) if len(rest) > 4 else BAND
+        inside = max(np.flatnonzero(np.abs(values - 1) > band), default=-1) + 1  # the first sample from which on it is
+        record["overshoot"] = max(0.0, float(values.max()) - 1)
+        record["settling_time"] = [0.0, *map(float, times[1:]), None][inside]
+        record["final_error"] = float(rest.mean() * change) if len(rest) > 1 else None
     return record
 
 
@@ -119,7 +113,7 @@ def _crossing(times: Array, values: Array, share: float) -> float | None:
         return None
     at = int(there[0])
     if at == 0 or values[at - 1] >= share:
-        return max(0.0, float(times[at]))
+        return float(times[at])
     part = (share - values[at - 1]) / (values[at] - values[at - 1])
     return max(0.0, float(times[at - 1] + part * (times[at] - times[at - 1])))
 
@@ -130,19 +124,17 @@ def points(found: Mapping[tuple[str, str], Samples], bench: Bench | None = None)
     bench: a thrust stand, with the times of the capture.
     """
     for one, speed, when, told in followed(found):
-        largest = float(np.abs(told).max())
-        for first, last in _holds(when, told, LEVEL * max(largest, 1e-9)):
+        for first, last in _holds(when, told, LEVEL * max(float(np.abs(told).max()), 1e-9)):
             use = (one.times >= when[first] + SETTLED) & (one.times <= when[last])
             if use.sum() < 5:
                 continue
             record = _who(one, speed, when[first]) | {"command": float(np.mean(told[first : last + 1]))}
             record |= {"length": float(when[last] - when[first]), "messages": int(use.sum())}
-            for name in measured_names(one):
-                record[name] = _mean(one.columns[name][use])
+            record |= {name: _mean(one.columns[name][use]) for name in measured_names(one)}
             for name in one.names("value", *DEGREES):
-                good = np.isfinite(one.columns[name][use])
+                good = use & np.isfinite(one.columns[name])
                 if good.sum() > 4:
-                    line = np.polyfit(one.times[use][good] / 60, one.columns[name][use][good], 1)
+                    line = np.polyfit(one.times[good] / 60, one.columns[name][good], 1)
                     record[f"{name}_slope"] = float(line[0])
             if bench and bench.controller == one.controller:
                 its = (bench.times >= when[first] + SETTLED) & (bench.times <= when[last])
@@ -165,13 +157,14 @@ def _mean(values: Array) -> float | None:
     return float(good.mean()) if len(good) else None
 
 
-def point_columns(found: Mapping[tuple[str, str], Samples], bench: Sequence[str]) -> list[tuple[str, str, str, str]]:
+def point_columns(found: Mapping[tuple[str, str], Samples], bench: Bench | None) -> list[tuple[str, str, str, str]]:
     """Return the columns of points besides POINTS: (name, type, meaning, unit)."""
-    columns: dict[str, tuple[str, str, str, str]] = {}
+    columns = {}
     for one, *_ in followed(found):
         for name in measured_names(one):
             columns[name] = name, "number", f"its mean: {one.title_of(name)}", one.unit_of(name)
         for name in one.names("value", *DEGREES):
             about = f"how fast it rose: {one.title_of(name)}", f"{one.unit_of(name)}/min"
             columns[f"{name}_slope"] = f"{name}_slope", "number", *about
-    return [*columns.values(), *((name, "number", "its mean, of the bench's log", "") for name in bench)]
+    logged = bench.columns if bench else ()
+    return [*columns.values(), *((name, "number", "its mean, of the bench's log", "") for name in logged)]

@@ -155,23 +155,14 @@ def _read_csv(path: Path, schema: pa.Schema, needed: set[str]) -> dict[str, pa.C
 
 
 def present(export: Export) -> list[str]:
-    """Return the messages that the export has rows of, in the catalogue's order."""
-    return [name for name in export.fields["messages"] if has_rows(export.csv(name))]
+    """Return the messages that the export has rows of, in the catalogue's order: more than a header."""
 
+    def has_rows(path: Path) -> bool:
+        with path.open("rb") as file:
+            return len(list(zip(range(2), file, strict=False))) == 2
 
-def nothing_in(capture: Path, export: Export, filter_: str | None = None) -> str:
-    """Return why a capture gives no table."""
-    narrowed = f" that {filter_} lets through" if filter_ else ""
-    why = "; ".join(export.left_out)
-    return f"{capture}: no YAPP messages in it{narrowed}{': ' * bool(why)}{why}"
-
-
-def has_rows(path: Path) -> bool:
-    """Return whether a table of the plugin is there and has more than its header."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return len(list(zip(range(2), file, strict=False))) == 2
+    paths = {name: export.csv(name) for name in export.fields["messages"]}
+    return [name for name, path in paths.items() if path.is_file() and has_rows(path)]
 
 
 def plain(table: pa.Table) -> pa.Table:

@@ -93,8 +93,6 @@ class Tshark:
         described = folder / "csv/fields.json"
         partial = self._refusal(capture, done, written=described.is_file())
         fields: Record = json.loads(described.read_text(encoding="utf-8"))
-        if "plugin" not in fields:
-            raise SetupError(f"the plugin is too old, its fields.json does not name its version: {INSTALL_PLUGIN}")
         lacks, notes = _said(done)
         if done.returncode == UNDECIDED and not lacks:
             lacks = (UNRELIABLE,)
