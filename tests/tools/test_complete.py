@@ -6,7 +6,6 @@ import re
 import pytest
 import yapp_tables as yt
 from running import FAKE, motor_row
-from yapp_tables.errors import count_of
 
 AT = {"time": 1700000000.000000001, "frame": 3, "bus": "can0", "source": None, "message": None}
 SENTENCE = "648 messages were not decoded: can0 0x211, 0x212, 0x213 (32 bytes). Try -o yapp.motor_ids:0x210-0x213"
@@ -71,19 +70,6 @@ def test_a_capture_without_a_decoded_message(make_capture, yapp_tables):
         assert "Try -o yapp.motor_ids:0x210-0x213" in done.stderr
 
 
-def test_a_named_plugin_that_is_not_used_is_said(make_capture, yapp_tables):
-    """Wireshark takes the installed one: what stands in the tables is of its catalogue."""
-    said = "yapp: ./yapp.lua (3.0.0) is not loaded: /home/me/yapp.lua (3.0.0) is already there"
-    done = yapp_tables("report", make_capture("flight.pcapng", motor=[motor_row(0)], summary=SUMMARY[:1], says=said))
-    assert (done.returncode, "already there" in done.stderr) == (3, True)
-
-
-def test_headers_that_were_not_decoded_are_said(make_capture):
-    says = "yapp: 12 YAPP headers in this file were not decoded; try -d udp.port==9000,yapp_serial"
-    with pytest.warns(UserWarning, match="12 YAPP headers"):
-        assert yt.read(make_capture("f.pcapng", motor=[motor_row(0)], says=says), tshark=FAKE).left_out == [says[6:]]
-
-
 def test_events_that_nothing_could_be_told_of_are_no_damage(make_capture):
     path = make_capture("flight.pcapng", motor=[motor_row(0)], does=["undecided"])
     with pytest.warns(UserWarning, match="share an ID"):
@@ -104,8 +90,3 @@ def test_copies_leave_nothing_out(make_capture, yapp_tables, tmp_path):
     flight = yt.read(path, tshark=FAKE)
     assert (flight.left_out, list(flight.notes)) == ([], [COPIED])
     assert yapp_tables("report", path).returncode == 0
-
-
-@pytest.mark.parametrize(("number", "text"), [(0, "0 rows"), (1, "1 row"), (2, "2 rows"), (12345, "12,345 rows")])
-def test_numbers_of_things(number, text):
-    assert count_of(number, "row") == text

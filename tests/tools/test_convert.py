@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """yapp-tables convert: what is written, what is skipped, what fails and how; with a stand-in for tshark."""
 
-import csv
 import os
 import re
 import shlex
@@ -61,19 +60,6 @@ def test_csv_has_one_header_row_and_reads_back(make_capture, yapp_tables, tmp_pa
     assert frame["rpm_measured"].isna().tolist() == [False, True, True]
     assert str(frame["rpm_measured_special"][1]) == "inf"
     assert pl.read_csv(path, try_parse_dates=True)["fault_motor_overcurrent"].dtype == pl.Boolean
-
-
-def test_lengths_in_csv_keep_their_nanoseconds(make_capture, yapp_tables, tmp_path):
-    clocks = ["0.000000000", "0.000000001", "0.000000999", "-0.000000001", "-12.500000000", "", "86725.000072419"]
-    rows = [motor_row(number, timestamp=clock) for number, clock in enumerate(clocks)]
-    rows[0]["bus"] = '"a ""quoted"", bus"'
-    assert yapp_tables("convert", make_capture("a.pcap", motor=rows), "--to", "csv", "--out", "data").returncode == 0
-    path = result(tmp_path / "data/message=motor", "a", ".csv")
-    with path.open(newline="") as file:
-        found = list(csv.DictReader(file))
-    assert [row["timestamp"] and float(row["timestamp"]) for row in found] == [text and float(text) for text in clocks]
-    assert [row["bus"] for row in found[:2]] == ['a "quoted", bus', "can0"]
-    assert pl.read_csv(path)["timestamp"].dtype == pl.Float64
 
 
 def test_up_to_date_results_are_skipped_and_others_made_again(make_capture, yapp_tables, tmp_path):
@@ -162,8 +148,3 @@ def test_help_has_two_examples_that_can_be_parsed(command, capsys):
     for example in EXAMPLES[command]:
         words = shlex.split(example.partition("&&")[0].partition("||")[0])
         assert cli._parser().parse_args([command, *words]).run
-
-
-def test_version(yapp_tables):
-    done = yapp_tables("--version")
-    assert done.stdout.startswith("yapp-tables ")

@@ -17,7 +17,7 @@ import pytest
 import yapp_tables as yt
 from deltalake import DeltaTable
 from distributed import Client, LocalCluster
-from running import FAKE, killing, motor_row, result, run_tables, wait_for_results
+from running import FAKE, killing, motor_row, run_tables, wait_for_results
 from yapp_tables.dataset import DataSet, Result
 
 FAULT = {"time": 1700000000.000000001, "frame": 3, "bus": "can0", "source": None, "id": 528, "message": "motor"}
@@ -61,19 +61,6 @@ def test_every_reader_opens_the_folder(make_capture, tmp_path):
         table = pl.read_parquet(data / f"message={name}")
         assert len(table) == count
         assert table["flight_id"].n_unique() == 2
-
-
-@pytest.mark.parametrize("to", ["csv", "mf4", "mcap", "delta"])
-def test_every_format_has_the_tables(make_capture, tmp_path, to):
-    flight(make_capture)
-    convert(tmp_path, "flight.pcapng", to=to)
-    names = {"motor", "events", "faults", "summary", "steps", "points", "flights"}
-    if to in ("csv", "delta"):
-        assert {path.name for path in (tmp_path / "data").iterdir()} == {f"message={name}" for name in names}
-    else:
-        content = result(tmp_path / "data", "flight", f".{to}").read_bytes()
-        empty = {"steps", "points"} if to == "mf4" else set()  # a group without rows is none
-        assert [name for name in names - empty if name.encode() not in content] == []
 
 
 def test_the_flights(make_capture, tmp_path):
@@ -157,13 +144,6 @@ def test_many_open_a_new_data_set_at_once(tmp_path):
         assert len(list(DataSet(str(tmp_path / f"data{data}"), "csv").results())) == 8
 
 
-def test_a_url_with_a_slip_is_no_folder(make_capture, tmp_path):
-    assert "s3:/bucket is neither a folder nor a URL" in convert(
-        tmp_path, flight(make_capture), out="s3:/bucket", code=2
-    )
-    assert not (tmp_path / "s3:").exists()
-
-
 def test_delta_tables_of_several_workers_one_of_which_is_killed(make_capture, tmp_path):
     count = 12
     for number in range(count):
@@ -186,7 +166,6 @@ def test_delta_tables_of_several_workers_one_of_which_is_killed(make_capture, tm
         found = {row["source_file"]: (row["time_ns_count_distinct"], row["time_ns_count"]) for row in rows}
         assert found == {f"{number:02}.pcapng": (50 + number, 50 + number) for number in range(count)}
         convert(tmp_path, "flights/*.pcapng", to="delta")
-    assert len(DeltaTable(tmp_path / "data/message=motor").file_uris()) < count  # compacted
 
 
 def test_convert_one_is_what_a_scheduler_calls(make_capture, tmp_path):
@@ -200,11 +179,3 @@ def test_convert_one_is_what_a_scheduler_calls(make_capture, tmp_path):
     assert len(motor(tmp_path)) == 3
     missing = yt.convert_one(tmp_path / "none.pcapng", config)
     assert (missing.failure, missing.flight_id) == ("no such file", "")
-
-
-def test_names_of_controllers(make_capture):
-    capture = flight(make_capture)
-    yt.read(capture, tshark=FAKE, options=["yapp.sources:can0/0x210=motor:left"], messages=["motor"])
-    asked = json.loads(capture.with_suffix(".asked").read_text().splitlines()[0])
-    assert asked["o"] == ["yapp.sources:can0/0x210=motor:left"]
-    assert yt.__version__

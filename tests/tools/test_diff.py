@@ -12,7 +12,7 @@ import numpy as np
 import pairs
 import pytest
 from running import PLUGIN, run_tables
-from yapp_tables.intervals import change, more_often, quantile, slope
+from yapp_tables.changes import change, more_often, slope
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_what_is_planted_is_found_with_its_size_and_nothing_else(runs):
     values = 4 + 1 + 2  # of Motor Data in A (an error, too), W and °C
     for name in ("fl", "fr", "rl", "rr"):
         assert page.count(f"<h3>{name}: ") == values
-    assert page.count("<svg") == 4 * values
+    assert page.count("<table") == 4 * values
 
 
 @pytest.mark.parametrize(
@@ -138,20 +138,11 @@ def test_too_few_blocks_give_no_answer():
     assert change(times, times, times > 5) is None
 
 
-def test_quantiles_of_students_t():
-    for share, freedom, value in ((0.975, 10, 2.228), (0.995, 20, 2.845), (0.9999, 30, 4.234), (0.975, 1e9, 1.960)):
-        assert abs(quantile(share, freedom) - value) < 0.01
-
-
 @pytest.mark.parametrize(
     ("before", "after", "chance"), [(0, 0, 1), (0, 5, 1 / 32), (5, 5, 0.623), (3, 20, 0.000244), (20, 3, 0.99998)]
 )
 def test_more_often(before, after, chance):
-    assert more_often(before, after, 0.5, 1.0) == pytest.approx(chance, rel=0.01)
-
-
-def test_events_in_bursts_count_as_fewer():
-    assert more_often(0, 20, 0.5, 10.0) == pytest.approx(0.25)
+    assert more_often(before, after, 0.5) == pytest.approx(chance, rel=0.01)
 
 
 def test_a_robust_slope():

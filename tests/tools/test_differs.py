@@ -85,11 +85,6 @@ def test_all_planted_ones(seed):
         assert 10 < said[0]["away"] < 18
 
 
-def test_of_two_the_hot_one_is_said():
-    found, _ = flight(7, 2, hot=1)
-    assert [row["source"] for row in differing(found)] == ["esc1"]
-
-
 def sources(*values, every=1.0):
     """Sources with these values at one time each second; None where a message is missing."""
     found = []

@@ -6,7 +6,6 @@ import json
 import os
 import pty
 import re
-import signal
 import struct
 import subprocess
 import sys
@@ -15,7 +14,6 @@ import time
 
 import pyarrow.parquet as pq
 import pytest
-from distributed import LocalCluster
 from running import FAKE, killing, motor_row, run_tables, started, wait_for_results
 from yapp_tables.cli import main
 
@@ -43,30 +41,6 @@ def assert_complete(folder, is_clean=True):
     assert rows == {number: 100 + number for number in range(COUNT)}
     # What a killed run left is removed a day later: another run may still be at work.
     assert not (is_clean and list((folder / "data.yapp-tables").glob("*-work-*")))
-
-
-def test_threads(fleet):
-    with pytest.raises(AssertionError):
-        assert_complete(fleet)
-    done = convert(fleet, "--jobs", 4)
-    assert done.returncode == 0, done.stderr
-    assert_complete(fleet)
-    assert f"{COUNT} captures, " in done.stderr
-
-
-def test_a_cluster_of_processes_some_of_which_are_killed(fleet):
-    with LocalCluster(n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
-        pids = [worker.process.pid for worker in cluster.workers.values()]
-
-        def kill():
-            for count, pid in zip((2, 4), pids, strict=False):
-                wait_for_results(fleet, count)
-                os.kill(pid, signal.SIGKILL)
-
-        with killing(fleet, kill):
-            done = convert(fleet, "--scheduler", cluster.scheduler_address)
-        assert done.returncode == 0, done.stderr
-    assert_complete(fleet, is_clean=False)
 
 
 def test_a_killed_run_is_finished_by_the_next(fleet):

@@ -6,14 +6,10 @@ import math
 import os
 
 import flights
-import numpy as np
-import polars as pl
 import pyarrow as pa
-import pyarrow.dataset as ds
 import pytest
 import yapp_tables as yt
-from asammdf import MDF
-from running import PLUGIN, result, run_tables
+from running import PLUGIN, run_tables
 
 OPTIONS = [word for option in flights.OPTIONS for word in ("-o", option)]
 
@@ -87,43 +83,6 @@ def test_read_has_every_value_and_every_event(flight):
     counts = {(row["bus"], row["id"]): row["count"] for row in read.summary.to_pylist()}
     for bus, number in {row[1:3] for row in truth.motor}:
         assert counts[bus, number] == sum(row[1:3] == (bus, number) for row in truth.motor)
-
-
-def test_parquet(flight):
-    path, truth = flight
-    folder = convert(path, "parquet") / "message=motor"
-    motor = ds.dataset(folder).to_table()
-    columns = (motor[name].to_pylist() for name in ("bus", "id", "rpm_measured"))
-    assert_speeds(zip(motor["time"].cast("int64").to_pylist(), *columns, strict=True), truth)
-
-
-def test_csv(flight):
-    path, truth = flight
-    motor = pl.read_csv(result(convert(path, "csv") / "message=motor", "flight", ".csv"), infer_schema_length=None)
-    times = motor["time"].str.to_datetime("%Y-%m-%d %H:%M:%S%.9fZ", time_unit="ns").dt.timestamp("ns")
-    assert_speeds(zip(times, motor["bus"], motor["id"], motor["rpm_measured"], strict=True), truth)
-
-
-def test_mf4(flight):
-    path, truth = flight
-    found = []
-    with MDF(result(convert(path, "mf4"), "flight", ".mf4")) as mdf:
-        start = round(mdf.header.start_time.timestamp()) * 10**9
-        for index, group in enumerate(mdf.groups):
-            message, *source = group.channel_group.acq_name.split()
-            if message == "motor":
-                bus, number = source
-                speed = mdf.get("rpm_measured", group=index, ignore_invalidation_bits=True)
-                absent = np.asarray(speed.invalidation_bits)
-                assert speed.unit == "RPM"
-                assert set(mdf.get("motor_mode", group=index).samples) == {b"Speed Mode"}
-                times = [start + round(time * 1e9) for time in speed.timestamps]
-                values = [None if gone else value for gone, value in zip(absent, speed.samples, strict=True)]
-                found += [(time, bus, int(number, 16), value) for time, value in zip(times, values, strict=True)]
-                assert absent.sum() == sum(
-                    row[3] == flights.NAN16 for row in truth.motor if row[1:3] == (bus, int(number, 16))
-                )
-    assert_speeds(found, truth)
 
 
 def test_a_filter_narrows(flight):

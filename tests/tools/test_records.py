@@ -6,7 +6,7 @@ from decimal import Decimal
 import pytest
 from fake_tshark import FIELDS
 from yapp_tables.incidents import faults_in
-from yapp_tables.records import columns_of, faults, table
+from yapp_tables.records import columns_of, table
 
 
 def event(at, kind="fault", flag="stall", **more):
@@ -58,10 +58,3 @@ def test_the_columns_are_those_that_the_plugin_describes():
     record = {"source": "left", "count": 3, "jitter": Decimal("0.25"), "strange": 7, "values": {}}
     (row,) = table([record], columns).to_pylist()
     assert (row["controller"], row["count"], row["jitter"], row["other"]) == ("left", 3, 0.25, '{"strange": 7}')
-
-
-def test_faults_have_what_is_described_of_them():
-    columns = columns_of(FIELDS, "faults")
-    found = faults(table([event(0, help="it is hot"), event(1, kind="reboot")], columns_of(FIELDS, "events")), columns)
-    assert found.schema.names == columns.names
-    assert found["help"].to_pylist() == ["it is hot"]

@@ -22,28 +22,10 @@ def test_what_a_killed_run_left_is_removed_a_day_later(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", new.name]
 
 
-def test_a_full_disk_is_a_path_and_what_to_do(make_capture, monkeypatch):
-    capture = make_capture("flight.pcapng", motor=[motor_row(0)])
-
-    def write(*_arguments, **_options):
-        raise OSError(28, os.strerror(28))
-
-    monkeypatch.setattr("yapp_tables.tshark._run", write)
-    with pytest.raises(yt.SetupError, match=r"the disk is full: .+; free some space there, or set TMPDIR"):
-        yt.read(capture, tshark=FAKE)
-
-
 def test_a_plugin_that_cannot_write_is_the_same(make_capture):
     says = "yapp: csv: csv/fields.json: No space left on device"
     with pytest.raises(yt.SetupError, match=r"the disk is full: .+; free some space there, or set TMPDIR"):
         yt.read(make_capture("flight.pcapng", motor=[motor_row(0)], says=says), tshark=FAKE)
-
-
-def test_a_full_disk_of_the_data_set_advises_no_other_folder_for_temporary_files(make_capture, tmp_path):
-    says = "yapp: csv: csv/fields.json: No space left on device"
-    capture = make_capture("flight.pcapng", motor=[motor_row(0)], says=says)
-    with pytest.raises(yt.SetupError, match=r"the disk is full: .+data.yapp-tables.+; free some space there$"):
-        yt.convert_one(capture, yt.Config(str(tmp_path / "data"), tshark=yt.Tshark(FAKE)), made=None)
 
 
 @pytest.mark.parametrize("kind", [DeltaError, OSError])

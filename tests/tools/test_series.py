@@ -34,11 +34,6 @@ def test_gaps_stay(most):
     assert thinned[gap[0] + 1] == pytest.approx(260.0)
 
 
-def test_what_comes_first_is_drawn_first():
-    _, (falls,) = thin(source(np.arange(8) * 0.1), [np.array([9, 5, 5, 1, 1, 5, 5, 9.0])], 4)
-    assert falls.tolist() == [9, 1, 1, 9]
-
-
 def test_a_source_is_its_name_or_its_bus_and_id():
     table = pa.table(
         {

@@ -10,7 +10,7 @@ import pairs
 import pyarrow.parquet as pq
 import pytest
 from running import PLUGIN, run_tables
-from yapp_tables import bench, steps
+from yapp_tables import steps
 from yapp_tables.errors import SetupError
 from yapp_tables.series import Samples
 
@@ -69,11 +69,6 @@ def test_overshoot_and_what_never_settles():
     ]
 
 
-def test_a_ramp_has_no_step():
-    ramp = [(2 + n * 0.02, 10.0 * n) for n in range(300)]
-    assert list(steps.steps(controller(ramp))) == []
-
-
 def test_points_are_the_holds():
     found = list(steps.points(controller(CHANGES)))
     assert [row["command"] for row in found] == pytest.approx([2000, 4000, 3000 + 40 * 10 / 20], rel=0.01)
@@ -100,7 +95,7 @@ def log_of(path, found, offset, ppm=0.0, noise=5.0, cut=(0.0, 99.0), factor=1.0)
 @pytest.mark.parametrize(("offset", "ppm", "factor"), [(3.217, 0, 1), (-4.55, 300, 7), (0.0, -200, 1)])
 def test_a_bench_is_aligned_by_its_speed(tmp_path, offset, ppm, factor):
     found = controller([(4.0, 2000.0), (11.0, 4000.0), (19.0, 3000.0), (27.0, 3900.0), (34.0, 900.0)])
-    log = bench.aligned(log_of(tmp_path / "bench.csv", found, offset, ppm, factor=factor), found)
+    log = steps.aligned(log_of(tmp_path / "bench.csv", found, offset, ppm, factor=factor), found)
     assert log.controller == "m"
     true = offset + np.arange(len(log.times)) / 20 * (1 + ppm / 1e6)
     assert np.abs(log.times - true).max() < 0.06
@@ -127,7 +122,7 @@ def test_what_fits_twice_or_not_at_all_is_refused(tmp_path, changes, cut, said):
     if "no controller" in said:
         path = log_of(path, controller([(3 * n, random.Random(n).uniform(500, 4000)) for n in range(12)]), 0.0)
     with pytest.raises(SetupError, match=said):
-        bench.aligned(path, found)
+        steps.aligned(path, found)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +132,7 @@ def test_what_fits_twice_or_not_at_all_is_refused(tmp_path, changes, cut, said):
 def test_what_is_no_log(tmp_path, text):
     (tmp_path / "bench.csv").write_text(text)
     with pytest.raises(SetupError, match="is no log of a bench: it needs 20 rows, a column of time"):
-        bench.read(tmp_path / "bench.csv")
+        steps.read(tmp_path / "bench.csv")
 
 
 def test_a_conversion_has_both_tables_and_prints_the_offset(tmp_path):

@@ -21,8 +21,10 @@ from .errors import CaptureError, count_of
 from .flight import Flight
 from .scratch import scratch
 from .series import DEGREES, LATE, Array, Samples, samples
+from .tables import differences
 from .tshark import Record, Tshark
 
+MARGIN = 0.1  # of the range that the flights cover
 # A range that is narrow for its value counts as this share of the value: what never changed may do so a little.
 LEAST_RANGE = 0.25
 NOISE = 0.1  # of the margin, beyond an extreme of 0
@@ -46,7 +48,7 @@ LONG, SHORT = 10, 4  # periods: a state lasts longer, a step of the command is o
 RARE = 0.05  # of the samples: a condition that each flight meets
 LEAST_HELD = 12  # samples of each flight
 HEAD = """\
-# Learnt by yapp-tables {version} from {flights}, with a margin of {margin:g} %.
+# Learnt by yapp-tables {version} from {flights}.
 # A # takes a rule out; edit the numbers as you like. Behind each: the extreme of the good flights, and whose it is.
 # The first rules are those of check alone. Reserved values are in no range.
 """
@@ -86,23 +88,23 @@ class Good:
     samples: list[tuple[str, Samples]]  # the user's name for a source, or ""
 
 
-def learn(captures: Sequence[Path], tshark: Tshark, margin: float) -> tuple[str, list[str]]:
+def learn(captures: Sequence[Path], tshark: Tshark) -> tuple[str, list[str]]:
     """Return the text of a file of rules that all captures keep, and sentences on what they leave out.
 
-    margin: a share of the range that the captures cover. Raises YappError.
+    Raises YappError.
     """
     folder = os.path.commonpath([capture.parent for capture in captures])
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         flights = list(pool.map(lambda capture: _read(capture, os.path.relpath(capture, folder), tshark), captures))
         findings = [*_summed(flights), *_shown(flights)]
         found = {(one.source, one.what): one.found for one in findings}
-        apart, rules = _least_apart(found), _counted(flights, margin)
+        apart, rules = _least_apart(found), _counted(flights)
         for one in findings:
             # A mean has the margin of the values: those of a few flights may lie close together.
             name, _, measure = one.what.rpartition(".")
             covered = found[one.source, f"{name}.numbers"] if measure == "mean" else one.found
-            rules.append(_rule(one, covered, apart[one.what], margin))
-        head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=margin * 100)
+            rules.append(_rule(one, covered, apart[one.what]))
+        head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"))
         # The gate itself says which rules these flights keep.
         text = _text(head, rules)
         verdicts = pool.map(lambda capture: tshark.ask(capture, ["check,rules=rules,json"], text)[0], captures)
@@ -170,8 +172,8 @@ def _shown(flights: Sequence[Good]) -> Iterator[Finding]:
     for source, name, one in every:
         found["" if one.message in nameless else source, one.message].append((name, one))
     for (source, message), own in found.items():
-        differences = flights[0].fields["messages"][message]["differences"]
-        for finding in [*_noises(message, own), *_under_load(message, own, differences)]:
+        less = differences(flights[0].fields["messages"][message])
+        for finding in [*_noises(message, own), *_under_load(message, own, less)]:
             if len({end for low, high, _ in finding.found for end in (low, high)}) > 1:
                 finding.source = source
                 yield finding
@@ -189,7 +191,7 @@ def _noises(message: str, found: Found) -> Iterator[Finding]:
         yield Finding("", f"{message}.{name}.noise", ends)
 
 
-def _under_load(message: str, found: Found, differences: Sequence[Record]) -> Iterator[Finding]:
+def _under_load(message: str, found: Found, less: Sequence[Record]) -> Iterator[Finding]:
     """Yield limits over another field, by what fields are: of units and names alone.
 
     Current, power and torque over speed, temperature over current, what is less its command over the command.
@@ -201,7 +203,7 @@ def _under_load(message: str, found: Found, differences: Sequence[Record]) -> It
         (value, other, LONG) for value in currents + one.measured("W") + torques for other in (one.speed() or ())[:1]
     ]
     pairs += [(value, other, LONG) for value in one.names("value", *DEGREES) for other in currents]
-    pairs += [(row["name"], row["less"], SHORT) for row in differences]
+    pairs += [(row["name"], row["less"], SHORT) for row in less]
     for value, other, length in pairs:
         yield from _over(message, _having(found, value, other), (value, other), (length, one.every))
     for value, other in ((value, other) for value in currents for other in torques):
@@ -333,7 +335,7 @@ def _least_apart(extremes: dict[tuple[str, str], list[Extreme]]) -> dict[str, tu
     return least
 
 
-def _rule(one: Finding, covered: list[Extreme], apart: tuple[float, float], margin: float) -> Rule:
+def _rule(one: Finding, covered: list[Extreme], apart: tuple[float, float]) -> Rule:
     """Return the rule of what was seen, wide enough for each flight to keep it that had no part in it.
 
     covered: what the margin is a share of; apart: how far flights are apart at least, below and above.
@@ -344,10 +346,10 @@ def _rule(one: Finding, covered: list[Extreme], apart: tuple[float, float], marg
     def ends(left_out: str, room: float) -> tuple[str, str, str]:
         rest, own = ([row for row in rows if row[2] != left_out] for rows in (one.found, covered))
         low = 0.0 if measure in ("rate", *UPPER) else min(low for low, _, _ in own or covered)
-        share = margin * (max(high for _, high, _ in own or covered) - low)
+        share = MARGIN * (max(high for _, high, _ in own or covered) - low)
         room *= ROOM_OF_RATIO if measure == "ratio" else 1
-        top, highest = _limit([(high, name) for _, high, name in rest], share, margin, 1, apart[1], room)
-        bottom, lowest = _limit([(low, name) for low, _, name in rest], share, margin, -1, apart[0], room)
+        top, highest = _limit([(high, name) for _, high, name in rest], share, 1, apart[1], room)
+        bottom, lowest = _limit([(low, name) for low, _, name in rest], share, -1, apart[0], room)
         return bottom, top, highest if measure in UPPER else f"{lowest}, {highest}"
 
     broken = 0
@@ -370,7 +372,7 @@ def _apart(values: Sequence[float], sign: int) -> float:
 
 
 def _limit(
-    ends: list[tuple[float, str]], share: float, margin: float, sign: int, apart: float = 0.0, room: float = 1.0
+    ends: list[tuple[float, str]], share: float, sign: int, apart: float = 0.0, room: float = 1.0
 ) -> tuple[str, str]:
     """Return the limit above (sign 1) or below (-1) what was seen, and the extreme that it comes from.
 
@@ -380,7 +382,7 @@ def _limit(
     """
     extreme, name = max(ends, key=lambda end: sign * end[0])
     apart = max(apart, _apart([value for value, _ in ends], sign))
-    beyond = (max(share, margin * LEAST_RANGE * abs(extreme)) + 2 * apart) * room if extreme else share * NOISE
+    beyond = (max(share, MARGIN * LEAST_RANGE * abs(extreme)) + 2 * apart) * room if extreme else share * NOISE
     limit = extreme
     if beyond:  # of which two digits are written
         scale = 10.0 ** (1 - math.floor(math.log10(beyond)))
@@ -388,7 +390,7 @@ def _limit(
     return np.format_float_positional(limit, precision=12, trim="-"), f"{extreme:.7g} in {name}"
 
 
-def _counted(flights: Sequence[Good], margin: float) -> list[Rule]:
+def _counted(flights: Sequence[Good]) -> list[Rule]:
     """Return the rules of `check` alone: each with 0, or with what good flights have."""
     seen: dict[str, dict[str, float]] = defaultdict(dict)
     for flight in flights:
@@ -398,7 +400,7 @@ def _counted(flights: Sequence[Good], margin: float) -> list[Rule]:
     rules = []
     for kind, counts in seen.items():
         ends = [(count, name) for name, count in counts.items()]
-        limit, most = _limit(ends, max(counts.values()) * margin, margin, 1)
+        limit, most = _limit(ends, max(counts.values()) * MARGIN, 1)
         whole = math.ceil(float(limit))
         rules.append(Rule("", f"{kind}={whole}", most if whole else ""))
     return rules

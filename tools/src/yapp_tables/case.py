@@ -13,11 +13,11 @@ from decimal import Decimal
 from importlib.metadata import version
 from pathlib import Path
 
+from .differs import Limits
 from .errors import CaptureError, SetupError
 from .flight import Flight, read_flight
 from .incidents import is_command
 from .install import ask
-from .limits import Limits
 from .report import cards, write_report
 from .scratch import scratch, write_whole
 from .sources import controllers

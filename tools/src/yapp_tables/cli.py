@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import logging
 import os
-import re
 import sys
 from collections.abc import Iterable, Sequence
 from importlib.abc import MetaPathFinder
@@ -28,7 +27,10 @@ EXAMPLES = {
     "case": ("run.pcapng --out case.zip", "run.pcapng 2 -o yapp.motor_ids:0x210,0x211 --out case.zip"),
     "diff": ("before.pcapng after.pcapng", "'old/*.pcapng' 'new/*.pcapng' --rules flight.rules --junit diff.xml"),
     "trend": ("data", "data --out trend.html"),
-    "baseline": ("'good/*.pcapng' --out flight.rules", "'good/*.pcapng' --margin 20% --out flight.rules"),
+    "baseline": (
+        "'good/*.pcapng' --out flight.rules",
+        "'good/*.pcapng' --out flight.rules -o yapp.motor_ids:0x210,0x211",
+    ),
     "install": ("", "&& yapp-tables check"),
     "check": ("", "|| yapp-tables install"),
     "uninstall": ("", "--purge"),
@@ -99,7 +101,6 @@ def _parser() -> argparse.ArgumentParser:
 
     learn = commands.add_parser("baseline", parents=[how], help="good flights to rules for -z yapp,check")
     learn.add_argument("--out", required=True, metavar="flight.rules", help="the file of rules")
-    learn.add_argument("--margin", type=_share, default="10%", metavar="10%", help="beyond what good flights show")
     for command in (convert, learn):
         command.add_argument("captures", nargs="+", metavar="CAPTURE", help=CAPTURES)
 
@@ -118,12 +119,6 @@ def _positive(text: str) -> int:
     if not text.isdigit() or int(text) == 0:
         raise argparse.ArgumentTypeError(f"{text} is not a number from 1 on")
     return int(text)
-
-
-def _share(text: str) -> float:
-    if not re.fullmatch(r"\d+(\.\d+)?%", text):
-        raise argparse.ArgumentTypeError(f"{text} is not a share such as 10%")
-    return float(text.rstrip("%")) / 100
 
 
 def _say(texts: Iterable[str]) -> None:
@@ -217,7 +212,7 @@ def _trend(given: argparse.Namespace) -> int:
 
 def _baseline(given: argparse.Namespace) -> int:
     captures = find(given.captures)
-    text, left = baseline.learn(captures, _tshark(given), given.margin)
+    text, left = baseline.learn(captures, _tshark(given))
     write_whole(Path(given.out), text)
     _say([*left, f"{count_of(len(captures), 'flight')} in {given.out}"])
     return INCOMPLETE if left else 0

@@ -91,7 +91,8 @@ def convert(
     if bench and len(found) > 1:
         raise SetupError(f"{bench} is the log of one capture: name that one alone")
     writer(to)
-    config = Config(_absolute(str(out)), to, Tshark(**how), os.path.abspath(bench) if bench else None)
+    where = str(out) if "://" in str(out) else os.path.abspath(out)
+    config = Config(where, to, Tshark(**how), os.path.abspath(bench) if bench else None)
     dataset = DataSet(config.out, config.to)
     made = made_by(config.tshark, config.tshark.fields())
     dataset.open()
@@ -101,16 +102,7 @@ def convert(
     for old in dataset.results():  # of a capture that has another content now
         if old.capture in flights and old.flight_id not in flights.values():
             dataset.forget(old)
-    if config.to == "delta":
-        names = {name for result in done.values() for name in result.messages}
-        need(f"{__package__}.delta", "delta").compact(dataset.url, names)
     return [done[capture] for capture in found]
-
-
-def _absolute(out: str) -> str:
-    if re.match(r"\w{2,}:(?!//)", out):  # C: is a drive
-        raise SetupError(f"{out} is neither a folder nor a URL such as s3://bucket/folder")
-    return out if "://" in out else os.path.abspath(out)
 
 
 @contextmanager

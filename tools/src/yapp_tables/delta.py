@@ -48,12 +48,6 @@ def delete(url: str, flight: str, messages: Iterable[str]) -> None:
         _again(_table, url, message, lambda table: table.delete(_is(flight)))
 
 
-def compact(url: str, messages: Iterable[str]) -> None:
-    """Make few large files of many small ones; readers see no difference."""
-    for message in messages:
-        _again(_table, url, message, lambda table: table.optimize.compact())
-
-
 def _table(url: str, message: str, work: Callable[[DeltaTable], object]) -> None:
     work(DeltaTable(_url(url, message)))
 

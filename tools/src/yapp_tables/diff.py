@@ -16,11 +16,9 @@ import numpy as np
 from tqdm import tqdm
 
 from . import pages
+from .changes import BLOCK, LEAST_BLOCKS, Change, Following, Load, change, dependent, more_often, responses
 from .errors import count_of
 from .flight import Flight, read_flight
-from .follow import Following, responses
-from .intervals import BLOCK, LEAST_BLOCKS, Change, change, more_often
-from .load import Load, dependent
 from .series import APART, DEGREES, Array, Samples, joined, samples
 from .sources import controllers, source_name
 from .tshark import Record, Tshark
@@ -33,6 +31,7 @@ ALIKE = "it may be the weather: three flights of each side would tell"
 # Events that are no fault of a controller's, or have a comparison of their own.
 OTHER_EVENTS = ("fault", "unknown", "absent", "clock", "unfinished", "shared")
 LOSSES = ("incomplete", "crc", "missing", "skipped", "dropped", "stale")
+BURST = 2.0  # seconds in which losses count once
 ORDER = {"worse": 0, "changed": 1, "better": 2}
 
 
@@ -406,9 +405,10 @@ def _events(found: Comparison) -> Iterator[Finding]:
     chance = CHANCE_OF_EVENTS / max(1, len(counts))
     for (who, what), sides in counts.items():
         few, many = (sum(int(event["count"] or 1) for event in side) for side in sides)
-        clumps = _clumps(sides, seconds)
-        is_more = more_often(few, many, share, clumps) < chance
-        is_less = more_often(many, few, 1 - share, clumps) < chance
+        if what in LOSSES:  # they come in bursts
+            few, many = (len({event["at"]["time"] // BURST for event in side}) for side in sides)
+        is_more = more_often(few, many, share) < chance
+        is_less = more_often(many, few, 1 - share) < chance
         kind = "worse" if is_more else "better" if is_less else "changed"
         if kind == "changed" and (few or what in LOSSES):
             continue
@@ -419,20 +419,6 @@ def _events(found: Comparison) -> Iterator[Finding]:
         weight = many / max(few, 1) + 1 if is_more else 0.5
         at: list[Record] = [next((event["at"] for event in side if event["frame"]), {}) for side in sides]
         yield Finding(kind, who, what, text, "an hour", (*hours, hours[1] - hours[0], None, None), weight, at)
-
-
-def _clumps(sides: tuple[list[Record], list[Record]], seconds: tuple[float, float]) -> float:
-    """Return the variance of blocks' counts over their mean, 1 where chance explains it: losses come in bursts."""
-    largest = 1.0
-    for side, length in zip(sides, seconds, strict=True):
-        blocks = max(int(length / 10), 2)
-        counts = np.zeros(blocks)
-        for event in side:
-            counts[min(int(event["at"]["time"] / 10), blocks - 1)] += int(event["count"] or 1)
-        if counts.sum() > 3:
-            spread = float(counts.var(ddof=1) / counts.mean())
-            largest = max(largest, spread if spread > 1 + 3 * math.sqrt(2 / (blocks - 1)) else 1.0)
-    return largest
 
 
 def _interface(found: Comparison) -> Iterator[Finding]:
@@ -540,5 +526,5 @@ def page(found: Comparison) -> str:
                     rows.append((f"{load.speed[use].min():.0f} to {load.speed[use].max():.0f}", both[0], both[1]))
             if rows:
                 title = html.escape(f"{pair.controller}: {one.title_of(name)}")
-                parts += [f"<h3>{title}</h3>", pages.pairs(rows, one.unit_of(name), "speed, RPM")]
+                parts += [f"<h3>{title}</h3>", pages.pairs(rows, html.escape(one.unit_of(name)))]
     return pages.page("Two runs compared", parts)

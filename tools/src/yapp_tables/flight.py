@@ -13,14 +13,13 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from .bench import aligned
 from .dataset import StrPath, flight_id
 from .errors import CaptureError, MessageError, count_of
 from .incidents import faults_in
 from .records import TABLES, column, columns_of, faults, table, to_write
 from .scratch import scratch
 from .series import samples
-from .steps import point_columns, points, steps
+from .steps import aligned, point_columns, points, steps
 from .tables import HEAD, catalogue_version, present, read_rows
 from .tables import messages as catalogue
 from .tshark import Export, Record, Tshark

@@ -147,59 +147,49 @@ class Installation:
         os.replace(str(new), str(path))
         self.hashes[path] = digest(content)
 
-    def put(self, path: Path, content: bytes) -> None:
-        """Bring one file up to date; an edited one stays, with the new one beside it."""
-        beside, now = path.with_name(path.name + ".new"), digest(content)
-        self.known.add(now)
-        if not self.is_edited(path):
-            self.write(path, content)
-            self.remove(beside)
-        elif self.hashes.get(path) == now:
-            say("kept", f"{path}: you changed it")
-        else:
-            say("kept", f"{path}: you changed it; the new one is beside it, {beside.name}")
-            self.write(beside, content)
-            self.hashes[path] = now
-
     def remove(self, path: Path) -> None:
         """Remove a file that is as it was installed."""
-        if self.hashes.pop(path, None) and os.path.lexists(path):
-            if not self.is_edited(path):
-                path.unlink()
-            elif path.parent == self.target / "yapp":  # Wireshark would run it
-                say("kept", f"{path}: you changed it")
+        if self.hashes.pop(path, None) and path.is_file() and not self.is_edited(path):
+            path.unlink()
 
     def install(self, files: dict[Path, bytes]) -> None:
-        """Put the files in their places, and remove those of an earlier version."""
+        """Bring the files up to date, and remove those of an earlier version; an edited one stays."""
         for path in sorted(set(self.hashes) - set(files)):
             if path.suffix != ".new" or path.with_suffix("") not in files:
                 self.remove(path)
         for path, content in files.items():
-            if path.name != WIRESHARKS or not os.path.lexists(path):  # ours is for the first time only
-                self.put(path, content)
+            beside, now = path.with_name(path.name + ".new"), digest(content)
+            self.known.add(now)
+            if path.name == WIRESHARKS and os.path.lexists(path):  # ours is for the first time only
+                continue
+            if not self.is_edited(path):
+                self.write(path, content)
+                self.remove(beside)
+                continue
+            is_new = self.hashes.get(path) != now
+            say("kept", f"{path}: you changed it{f'; the new one is beside it, {beside.name}' if is_new else ''}")
+            if is_new:
+                self.write(beside, content)
+            self.hashes[path] = now
         self.remove_folders()
         made = [str(folder) for folder in self.folders if folder.is_dir()]
         listed = {"files": {str(path): value for path, value in self.hashes.items()}, "folders": made}
         self.list.write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
 
-    def places(self) -> list[Path]:
-        """Return the files and folders of ours that are there."""
-        ports = sorted(self.wireshark.extcap.glob("yapp_extcap.*"))
-        return list(filter(os.path.lexists, (*ports, self.profile, self.target)))
-
     def uninstall(self, purge: bool) -> None:
         """Remove what is as it was installed, or all of it, and say what is gone and what is kept."""
-        places = self.places()
+        ports = sorted(self.wireshark.extcap.glob("yapp_extcap.*"))
+        places = list(filter(os.path.lexists, (*ports, self.profile, self.target)))
         for path in [*self.hashes]:
             self.remove(path)
         left = list(self.profile.glob("*"))
         for path in [self.list, *(left if [path.name for path in left] == [WIRESHARKS] else ())]:
             if path.is_file():
                 path.unlink()
-        for path in self.places() if purge else ():
+        for path in filter(os.path.lexists, places if purge else ()):
             shutil.rmtree(str(path)) if path.is_dir() and not path.is_symlink() else path.unlink()
         self.remove_folders()
-        kept = self.places()
+        kept = list(filter(os.path.lexists, places))
         for path in (each for place in kept for each in (place, *place.rglob("*")) if not each.is_dir()):
             say("kept", f"{path}: you changed it, or it is not of this installation")
         for path in (place for place in places if place not in kept):
@@ -229,9 +219,8 @@ def refuse_to_install(source: Path, wireshark: Wireshark) -> None:
     """Raise Problem where an installation would do harm."""
     if os.environ.get("SUDO_USER") and IS_ROOT:
         raise Problem("run it without sudo: everything goes into the home of the user who runs Wireshark")
-    for folder in wireshark.plugin_folders:
-        if (real(source) + os.sep).startswith(real(folder) + os.sep):
-            raise Problem(f"{source} is in Wireshark's plugin folder, which loads it as it is: move it elsewhere first")
+    if any((real(source) + os.sep).startswith(real(folder) + os.sep) for folder in wireshark.plugin_folders):
+        raise Problem(f"{source} is in Wireshark's plugin folder, which loads it as it is: move it elsewhere first")
     for folder in (wireshark.target, wireshark.profile):
         if folder.is_symlink():
             raise Problem(f"{folder} is a link to {folder.resolve()}: remove the link first")
@@ -244,10 +233,10 @@ def problems(source: Path, wireshark: Wireshark) -> Iterator[str]:
     for path, folder in copies.items():
         if path != real(entry):
             yield f"another copy of the plugin is in {folder}: Wireshark loads only one; remove one of them"
+    own = plugin_version(source / "yapp.lua")
     if not entry.is_file():
         yield f"nothing is installed in {wireshark.target}"
-    elif plugin_version(entry) != plugin_version(source / "yapp.lua"):
-        own = plugin_version(source / "yapp.lua")
+    elif plugin_version(entry) != own:
         yield f"{entry} is version {plugin_version(entry)}, this is {own}: install it again, or take the .new one"
     if not (wireshark.extcap / "yapp_extcap.py").is_file():
         say("note", f"no live ports in {wireshark.extcap}: install it again")
@@ -257,27 +246,21 @@ def problems(source: Path, wireshark: Wireshark) -> Iterator[str]:
         print("tshark was not found, so whether Wireshark loads the plugin was not checked.")
         return
     say("wireshark", f"{name}, Lua {wireshark.lua or 'none'}: {tshark}")
+    protocols, errors = ask(tshark, "-G", "protocols")
+    loaded = re.findall(r"^yapp\.lua\t.*\t(.*\S)", ask(tshark, "-G", "plugins")[0], re.MULTILINE)
     if wireshark.version < OLDEST:
         yield f"{name} is too old: {'.'.join(map(str, OLDEST))} or later is needed"
     elif not wireshark.lua:
         yield f"{tshark} was built without Lua: install Wireshark's official package, or your distribution's"
-    elif entry.is_file():
-        yield from loading_problems(wireshark, tshark, entry)
-
-
-def loading_problems(wireshark: Wireshark, tshark: str, entry: Path) -> Iterator[str]:
-    """Give the sentences on why Wireshark does not load what is installed."""
-    protocols, errors = ask(tshark, "-G", "protocols")
-    loaded = re.findall(r"^yapp\.lua\t.*\t(.*\S)", ask(tshark, "-G", "plugins")[0], re.MULTILINE)
-    if loaded and real(loaded[0]) != real(entry):
+    elif loaded and real(loaded[0]) != real(entry):
         yield f"Wireshark loads {loaded[0]} instead of {entry}"
     elif re.search(r"\tyapp\s", protocols):
-        say("checked", f"{wireshark.name} loads {entry}")
+        say("checked", f"{name} loads {entry}")
     elif IS_ROOT and wireshark.version >= NOT_AS_ROOT:
-        yield f"as root, {wireshark.name} runs no Lua plugins: install and run it as an ordinary user"
-    else:
+        yield f"as root, {name} runs no Lua plugins: install and run it as an ordinary user"
+    elif entry.is_file():
         said = [line for line in errors.splitlines() if "lua" in line.lower()]
-        yield "\n  ".join([f"{wireshark.name} does not load {entry}", *said[:5]])
+        yield "\n  ".join([f"{name} does not load {entry}", *said[:5]])
 
 
 def run(what: str, purge: bool = False) -> int:
@@ -294,15 +277,16 @@ def run(what: str, purge: bool = False) -> int:
             if what == "install":
                 refuse_to_install(source, wireshark)
                 Installation(wireshark).install(wanted_files(source, wireshark))
-                for name in ("target", "extcap", "profile"):
-                    say("plugin" if name == "target" else name, getattr(wireshark, name))
+                for name, place in (
+                    ("plugin", wireshark.target),
+                    ("extcap", wireshark.extcap),
+                    ("profile", wireshark.profile),
+                ):
+                    say(name, place)
             found = list(problems(source, wireshark))
             if what == "install" and not found:
                 first = source / "docs/first.pcapng"
-                capture = first if first.is_file() else "CAPTURE.pcapng"
-                has_window = shutil.which("wireshark") or not shutil.which("tshark")
-                command = f"wireshark -C YAPP {capture}" if has_window else f"tshark -q -r {capture} -z yapp,faults"
-                say("next", command)
+                say("next", f"wireshark -C YAPP {first if first.is_file() else 'CAPTURE.pcapng'}")
     except (Problem, OSError, subprocess.SubprocessError) as problem:
         found = [str(problem)]
     sys.stdout.flush()  # what is wrong comes last, in a log too

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 # Sixteen colours of controllers, on a light and on a dark background. Each is at least 3:1 against its background, and
 # at least 0.16 apart from each other and from the grey of Commands, in the Oklab space, where people see differences of
@@ -26,7 +26,7 @@ td { border-bottom: 1px solid color-mix(in srgb, currentColor 20%, transparent);
 .number { text-align: right; font-variant-numeric: tabular-nums; }
 .worse { color: #d33030; font-weight: 600; } .better { color: #1a8f3c; } .pale { opacity: 0.65; }
 svg { width: 260px; height: 70px; vertical-align: middle; }
-.before { fill: #7a8794; } .after { fill: #3086e8; } .dot { fill: currentColor; }
+.dot { fill: currentColor; }
 .line { stroke: #3086e8; stroke-width: 2; } .sure { stroke: #d33030; stroke-width: 2; }
 """
 HEAD = "default-src 'none'; style-src 'unsafe-inline'"
@@ -37,22 +37,6 @@ def css() -> str:
     both = enumerate(zip(LIGHT, DARK, strict=True))
     rules = [f'[data-colour="{number}"] {{ --own: light-dark({light}, {dark}); }}' for number, (light, dark) in both]
     return "\n".join(rules)
-
-
-def html_table(heads: Mapping[str, str], rows: Sequence[Mapping[str, object]]) -> str:
-    """Return a table; a column without a cell is left out. heads: {key of the rows: its heading}."""
-    keys = [key for key in heads if any(row.get(key) is not None for row in rows)]
-    lines = ["".join(_cell("td", row.get(key)) for key in keys) for row in rows]
-    return _rows("thead", ["".join(_cell("th", heads[key]) for key in keys)]) + _rows("tbody", lines)
-
-
-def _rows(tag: str, lines: Iterable[str]) -> str:
-    return f"<{tag}>{''.join(f'<tr>{line}</tr>' for line in lines)}</{tag}>"
-
-
-def _cell(tag: str, value: object) -> str:
-    text = f"{value:.7g}" if isinstance(value, float) else "" if value is None else html.escape(str(value))
-    return f"<{tag} class=number>{text}</{tag}>" if isinstance(value, int | float) else f"<{tag}>{text}</{tag}>"
 
 
 def page(title: str, parts: Iterable[str]) -> str:
@@ -72,26 +56,20 @@ def listed(lines: Sequence[tuple[str, str]]) -> str:
     return f"<ul>{''.join(items)}</ul>"
 
 
-def pairs(rows: Sequence[tuple[str, tuple[float, float], tuple[float, float]]], unit: str, head: str) -> str:
-    """Return a table of bins, (label, (mean, spread) BEFORE, (mean, spread) AFTER), with bars side by side."""
-    heads = {"label": head, "before": f"BEFORE, {unit}", "after": f"AFTER, {unit}", "change": "change"}
-    cells = [
-        {"label": label, "before": f"{one[0]:.4g} ± {one[1]:.2g}", "after": f"{other[0]:.4g} ± {other[1]:.2g}",
-         "change": f"{other[0] - one[0]:+.3g} {unit}"}
-        for label, one, other in rows
-    ]  # fmt: skip
+def pairs(rows: Sequence[tuple[str, tuple[float, float], tuple[float, float]]], unit: str) -> str:
+    """Return a table of bins side by side: (range of speed, (mean, spread) BEFORE, (mean, spread) AFTER).
+
+    Behind each mean stands a bar as long as it is.
+    """
     most = max(max(abs(one[0]), abs(other[0])) for _, one, other in rows) or 1.0
-    wide = 260 / len(rows)
-    bars = "".join(
-        f"<rect class={kind} x='{at * wide + shift * wide * 0.4:.1f}' y='{70 - 66 * abs(value) / most:.1f}' "
-        f"width='{wide * 0.38:.1f}' height='{66 * abs(value) / most:.1f}'/>"
-        for at, (_, one, other) in enumerate(rows)
-        for shift, kind, value in ((0, "before", one[0]), (1, "after", other[0]))
-    )
-    label = html.escape(f"bars of {len(rows)} bins, BEFORE beside AFTER")
-    return (
-        f"<table>{html_table(heads, cells)}</table><svg viewBox='0 0 260 70' role=img aria-label='{label}'>{bars}</svg>"
-    )
+    lines = [f"<tr><th>speed, RPM</th><th>BEFORE, {unit}</th><th>AFTER, {unit}</th><th>change, {unit}</th></tr>"]
+    for label, *both in rows:
+        cells = "".join(
+            f"<td><meter max={most:.6g} value={abs(mean):.6g}></meter> {mean:.4g} ± {spread:.2g}</td>"
+            for mean, spread in both
+        )
+        lines.append(f"<tr><td>{label}</td>{cells}<td class=number>{both[1][0] - both[0][0]:+.3g}</td></tr>")
+    return f"<table>{''.join(lines)}</table>"
 
 
 def dots(values: Sequence[float], line: tuple[float, float] | None, label: str, is_sure: bool) -> str:

@@ -5,14 +5,12 @@ from __future__ import annotations
 
 import base64
 import gzip
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from .differs import Found, Windows, calm_samples, differing, flying, middle_of, sagging
-from .limits import Limits, beyond
+from .differs import Found, Limits, Windows, beyond, calm_samples, differing, flying, middle_of, sagging
 from .series import DEGREES, Array, thin
 
 # What the page keeps of a signal of one source: 20 minutes at 10 Hz. It thins that to what its window has room for.
@@ -21,7 +19,6 @@ CLOUD = 500  # points of one source, and of its largest values
 CLOUD_ENDS = 20
 ODD, APART = 0.5, 0.1  # of the others' current at the same speed, that a point is away, and of the largest
 ODD_SHARE = 0.1  # of the points of a source: with fewer it is not called odd
-# Shades of one source from another's: (bus, ID) of a controller, not its place in a list, says its colour.
 COLOURS, IDS_OF_A_BUS = 16, 8
 Record = dict[str, Any]
 
@@ -75,7 +72,10 @@ class Pictures:
         # A source that has no name of the user's is called by the controller's, if that has one.
         if lead and lead["label"] not in (lead["name"], name) and label == name:
             label = f"{lead['label']}, {title or name}"
-        about = {"name": name, "label": label, "colour": _colour(bus, of_bus) if is_own else "command"}
+        # The same colour for the same controller in every flight: by the end of its ID, and its bus's number.
+        end = bus[len(bus.rstrip("0123456789")) :] or 0
+        colour = ((of_bus or 0) % IDS_OF_A_BUS + IDS_OF_A_BUS * int(end)) % COLOURS if is_own else "command"
+        about = {"name": name, "label": label, "colour": colour}
         about |= {"is_command": not is_own, "controller": lead["controller"] if lead else len(self._leads)}
         self.sources.append(about)
         self._leads.setdefault(key, about)
@@ -101,11 +101,21 @@ class Pictures:
 
     def _figures(self, found: Found, names: Sequence[str]) -> None:
         """A figure for each value of all sources, with its command."""
-        drawn = [name for name in names if any(_varies(one.columns[name]) for one in found)]
-        figures = {name: self._figure(found, name) for name in drawn}
+        values = {name: np.concatenate([one.columns[name] for one in found]) for name in names}
+        drawn = [
+            name for name in names if np.nanmin(values[name], initial=np.inf) < np.nanmax(values[name], initial=-np.inf)
+        ]
+        figures, lead = {}, found[0]
+        for name in drawn:
+            ends = zip(*(self.limits.of(one, name) for one in found), strict=True)
+            limits = [end if np.isfinite(end) else None for end in (max(next(ends)), min(next(ends)))]  # the narrowest
+            about: Record = {"title": lead.title_of(name), "unit": lead.unit_of(name), "message": lead.title}
+            figures[name] = about | {"limits": limits, "key": f"{lead.message}.{name}", "lines": list[Record]()}
+            self.figures.append(figures[name])
         for one in found if drawn else ():
             times, lines = thin(one, [one.columns[name] for name in drawn], SAMPLES)
-            line = {"source": one.number, "x": self._times(times)}
+            self.times.append(self._keep(np.diff(np.round(times * 1e6), prepend=0), "<i4"))
+            line = {"source": one.number, "x": len(self.times) - 1}
             for name, own in zip(drawn, lines, strict=True):
                 figures[name]["lines"].append(line | {"name": one.title_of(name), "y": self._keep(own, "<f4")})
         for name, figure in figures.items():
@@ -115,16 +125,6 @@ class Pictures:
                 self.figures.remove(figures[told])
             odd = {row["source"] for row in self.differs if row["field"] in both and row["kind"] != "left"}
             figure["odd"] = sorted({self.sources[one.number]["controller"] for one in found if one.name in odd})
-
-    def _figure(self, found: Found, name: str) -> Record:
-        """A figure, still without lines, with the narrowest limits of all sources."""
-        limits = [self.limits.of(one, name) for one in found]
-        ends = max(low for low, _ in limits), min(high for _, high in limits)
-        one = found[0]
-        about: Record = {"title": one.title_of(name), "unit": one.unit_of(name), "message": one.title, "lines": []}
-        about |= {"key": f"{one.message}.{name}", "limits": [end if np.isfinite(end) else None for end in ends]}
-        self.figures.append(about)
-        return about
 
     def _cloud(self, found: Found) -> None:
         """Current over speed, a cloud a source; what is odd at its speed is marked."""
@@ -150,11 +150,6 @@ class Pictures:
                 said.append(f"{label} in {is_odd.mean():.0%} of its points, {times:.2f} times the others'")
         about = {"title": title, "message": lead.title, "key": "", "lines": lines, "unit": lead.unit_of(pair[1])}
         self.clouds.append(about | {"across": f"{lead.title_of(speeds[0])}, {lead.unit_of(speeds[0])}", "odd": said})
-
-    def _times(self, times: Array) -> int:
-        """Keep an x axis; returns its number."""
-        self.times.append(self._keep(np.diff(np.round(times * 1e6), prepend=0), "<i4"))
-        return len(self.times) - 1
 
     def _keep(self, values: Array, kind: str) -> Record:
         """Keep samples, all first bytes, then all second ones: so they pack well."""
@@ -184,15 +179,3 @@ def _usual(found: Found, speed: str, current: str) -> list[Array]:
 def packed(data: bytes) -> str:
     """Return bytes as gzip in base64, the same each time."""
     return base64.b64encode(gzip.compress(data, 9, mtime=0)).decode()
-
-
-def _colour(bus: str, number: int | None) -> int:
-    """Return the same colour for the same controller in every flight: by the end of its ID, and its bus's number."""
-    found = re.search(r"\d+$", bus)
-    return ((number or 0) % IDS_OF_A_BUS + IDS_OF_A_BUS * int(found[0] if found else 0)) % COLOURS
-
-
-def _varies(values: Array) -> bool:
-    """Whether it has two values; absent ones are none."""
-    finite = values[np.isfinite(values)]
-    return len(finite) > 0 and bool((finite != finite[0]).any())

@@ -17,12 +17,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from .dataset import StrPath
+from .differs import Limits
 from .errors import SetupError, need
 from .flight import Flight, read_flight
 from .incidents import events_of, excused, fault_rows, faults_in, filter_of, joined, other_rows
-from .limits import Limits
 from .matrix import Matrix, multiples
-from .pages import css, html_table
+from .pages import css
 from .pictures import Pictures, Record, packed
 from .scratch import write_whole
 from .series import Samples, samples
@@ -31,7 +31,6 @@ from .tshark import Tshark
 from .verdict import head, merged, series_of
 
 CARDS = 8  # of a page
-HIDDEN = ("id", "controller", "other")  # columns of the summary that the page does not show
 
 
 def report(capture: StrPath, out: StrPath | None = None, *, rules: StrPath | None = None, **how: Any) -> Path:
@@ -130,7 +129,6 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
         "/*COLOURS*/": css(),
         "/*MATRIX*/": matrix.html(),
         "/*MULTIPLES*/": multiples(pictures.messages, matrix, length, bands, named),
-        "/*SUMMARY*/": _summary(flight),
         "/*DATA*/": json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),
         "/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8"),
         "/*BLOB*/": packed(bytes(pictures.bytes)),
@@ -205,13 +203,3 @@ def _lanes(rows: list[Record]) -> list[Record]:
         marks["begins"] += [row["begin"]] if lasts else row["at"]
         marks["ends"] += [row["stop"]] if lasts else row["at"]
     return [lane | {"rows": list(lane["rows"].values())} for lane in lanes.values()]
-
-
-def _summary(flight: Flight) -> str:
-    """Return the table of sources."""
-    units = {"rate": ", Hz", "gap_min": ", s", "gap_mean": ", s", "gap_max": ", s"}
-    shown = (name for name in flight.summary.schema.names if name not in HIDDEN)
-    heads = {name: f"{name.replace('_', ' ')}{units.get(name, '')}" for name in shown}
-    rows = flight.summary.to_pylist()
-    names = [{"source": source_name(row), "message": flight.title(row["message"])} for row in rows]
-    return html_table(heads, [row | own for row, own in zip(rows, names, strict=True)])

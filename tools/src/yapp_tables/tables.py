@@ -84,7 +84,7 @@ def messages(fields: Record) -> dict[str, pa.Schema]:
 
 def differences(entry: Record) -> list[Record]:
     """Return the values of a message that are a column `of` less a column `less`."""
-    return entry.get("differences") or []
+    return [row for row in entry.get("formulas") or () if row["operator"] == "-"]
 
 
 def _column(entry: Record, names: Iterable[str]) -> pa.Field:

@@ -18,10 +18,8 @@ import pyarrow.parquet as pq
 from tqdm import tqdm
 
 from . import pages
+from .changes import Following, Load, dependent, responses, slope
 from .errors import SetupError, count_of
-from .follow import Following, responses
-from .intervals import slope
-from .load import Load, dependent
 from .series import Array, Samples, samples
 from .tables import SCHEMA, is_message, said
 from .tshark import Record

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import CaptureError, SetupError, YappError
-from .install import NOT_AS_ROOT, ask, find_tshark, version_of
+from .install import find_tshark
 from .scratch import scratch
 
 INSTALL_TSHARK = "install Wireshark (Debian, Ubuntu: apt-get install tshark) or name the program with --tshark PATH"
@@ -83,17 +83,17 @@ class Tshark:
 
         Returns an Export. Raises SetupError, CaptureError, OSError on a full disk; YappError where another try may do.
         """
-        check_file(capture)
         folder.mkdir(parents=True)
         # Relative to tshark's own folder: a comma in a path would end the option.
-        wanted = ["csv,csv", *(f"{name},json" for name in STATISTICS), *more]
-        done = _run(self._command(capture, wanted), folder)
+        done = self._ask(capture, ["csv,csv", *(f"{name},json" for name in STATISTICS), *more], folder)
         if os.strerror(errno.ENOSPC) in done.stderr:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         described = folder / "csv/fields.json"
         partial = self._refusal(capture, done, written=described.is_file())
         fields: Record = json.loads(described.read_text(encoding="utf-8"))
-        lacks, notes = _said(done)
+        lines = _said(done)
+        notes = tuple(line for line in lines if COPIES.search(line))
+        lacks = tuple(line for line in lines if line not in notes)
         if done.returncode == UNDECIDED and not lacks:
             lacks = (UNRELIABLE,)
         records: dict[str, list[Record]] = {name: [] for name in (*STATISTICS, "check")}
@@ -107,14 +107,13 @@ class Tshark:
         rules: what stands in the file `rules`. Raises as export does, and CaptureError where only a part of the capture
         can be read.
         """
-        check_file(capture)
         with scratch() as folder:
             (folder / "rules").write_text(rules, encoding="utf-8")
-            done = _run(self._command(capture, statistics), folder)
+            done = self._ask(capture, statistics, folder)
         if why := self._refusal(capture, done, written=True):
             raise CaptureError(f"{capture}: {why}")
         text = "".join(line for line in done.stdout.splitlines(keepends=True) if not line.startswith("{"))
-        return list(_json_lines(done.stdout)), list(_said(done)[0]), text
+        return list(_json_lines(done.stdout)), _said(done), text
 
     def fields(self) -> Record:
         """Return fields.json of this plugin with these options. Asked with an empty capture: it proves both."""
@@ -153,12 +152,11 @@ class Tshark:
             command += ["-o", option]
         return command
 
-    def _command(self, capture: Path, wanted: Sequence[str]) -> list[str]:
-        command = [*self._reading(capture), "-q"]
+    def _ask(self, capture: Path, wanted: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
+        check_file(capture)
         narrowed = f",filter={self.filter}" if self.filter else ""
-        for what in wanted:
-            command += ["-z", f"yapp,{what}{narrowed}"]
-        return command
+        statistics = [word for what in wanted for word in ("-z", f"yapp,{what}{narrowed}")]
+        return _run([*self._reading(capture), "-q", *statistics], folder)
 
     def find(self) -> str:
         """Return the path of the program. Raises SetupError."""
@@ -179,13 +177,16 @@ class Tshark:
         """None where all went well, the reason where part of the capture was read; raises where nothing was."""
         said = _complaint(done.stderr)
         if "-z argument" in done.stderr or "-z option" in done.stderr:
-            raise SetupError(self._no_plugin())
+            raise SetupError(
+                f"tshark has no YAPP plugin that knows -z yapp,csv: {INSTALL_PLUGIN}; as root, Wireshark 4.4 and later "
+                "ignore Lua plugins without a word"
+            )
         if done.returncode < 0:
             raise YappError(f"{capture}: tshark was ended by signal {-done.returncode}")
-        if done.returncode == 0 and written:
-            return None
         if done.returncode == 0:
-            raise SetupError(f"the plugin wrote no fields.json{said and ': ' + said}: {INSTALL_PLUGIN}")
+            if not written:
+                raise SetupError(f"the plugin wrote no fields.json{said and ': ' + said}: {INSTALL_PLUGIN}")
+            return None
         if written and done.returncode in (BROKEN, UNDECIDED):
             # Instead of tshark's own code: what it says of the file tells.
             lines = (line for line in done.stderr.splitlines() if f'"{capture.resolve()}"' in line)
@@ -195,13 +196,6 @@ class Tshark:
         if "reference" in said or "-o flag" in said:
             raise SetupError(said)
         raise CaptureError(f"{capture}: {said or f'tshark ended with {done.returncode}'}")
-
-    def _no_plugin(self) -> str:
-        if os.name == "posix" and os.geteuid() == 0 and version_of(ask(self.find(), "--version")[0]) >= NOT_AS_ROOT:
-            return "as root, Wireshark 4.4 and later ignore Lua plugins without a word: run this as an ordinary user"
-        if self.plugin is not None:
-            return f"{self.plugin} has no -z yapp,csv: it is too old, or did not load"
-        return f"tshark has no YAPP plugin, or one that is too old for -z yapp,csv: {INSTALL_PLUGIN}"
 
 
 def _run(command: list[str], folder: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -229,12 +223,10 @@ def _complaint(stderr: str) -> str:
     return " ".join(line.removeprefix("tshark: ") for line in lines if line and not line.startswith("Running as user"))
 
 
-def _said(done: subprocess.CompletedProcess[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return what the plugin says it leaves out, and what it says of copies."""
+def _said(done: subprocess.CompletedProcess[str]) -> list[str]:
+    """Return what the plugin says: what it leaves out, and copies."""
     own = (line.removeprefix(PLUGIN_SAYS) for line in done.stderr.splitlines() if line.startswith(PLUGIN_SAYS))
-    lines = dict.fromkeys(own)
-    notes = tuple(line for line in lines if COPIES.search(line))
-    return tuple(line for line in lines if line not in notes), notes
+    return list(dict.fromkeys(own))
 
 
 def _json_lines(stdout: str) -> Iterator[Record]:
