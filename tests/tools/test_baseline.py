@@ -113,17 +113,6 @@ def test_fields_with_the_names_of_measures(tmp_path, monkeypatch):
         assert lowest - 30 < low <= lowest <= highest <= high < highest + 30, name
 
 
-def test_ratios():
-    """10 A beside 8, 7 and 2.5 A are 1.429 times their median; a mean near 0 gives no ratio."""
-    numbers = {"a": (10, 12), "b": (8, 9), "c": (7, 9), "e": (2.5, 9)}
-    values = {name: {"mean": mean, "max": top} for name, (mean, top) in numbers.items()}
-    found = {name: round(ratio, 3) for name, ratio in baseline._ratios(values).items()}
-    assert found == {"a": 1.429, "b": 1.143, "c": 0.875, "e": 0.312}
-    for mean, top in ((0.9, 90), (-7, 12), (None, None)):
-        assert baseline._ratios(values | {"d": {"mean": mean, "max": top}}) == {}, mean
-    assert baseline._ratios({"a": values["a"]}) == {}
-
-
 def test_without_names(learnt, tmp_path):
     """Rules are about all controllers then."""
     options = OPTIONS[:2]

@@ -70,13 +70,6 @@ def test_a_capture_without_a_decoded_message(make_capture, yapp_tables):
         assert "Try -o yapp.motor_ids:0x210-0x213" in done.stderr
 
 
-def test_events_that_nothing_could_be_told_of_are_no_damage(make_capture):
-    path = make_capture("flight.pcapng", motor=[motor_row(0)], does=["undecided"])
-    with pytest.warns(UserWarning, match="share an ID"):
-        flight = yt.read(path, tshark=FAKE)
-    assert flight.partial is None
-
-
 COPIED = "120 messages were recorded twice; each counts once"
 
 

@@ -98,12 +98,6 @@ def test_recipes_keep_captures_that_name_no_bus(folder, tmp_path):
     assert "0 rows" not in run(tmp_path, "python", questions)
 
 
-def test_the_package_has_the_plugins_version():
-    plugin = re.search(r'^local VERSION = "(.*)"', (TOP / "yapp.lua").read_text(), re.M)
-    package = re.search(r'^version = "(.*)"', (TOP / "tools/pyproject.toml").read_text(), re.M)
-    assert package[1] == plugin[1]
-
-
 def test_all_and_recipes_bring_what_the_recipes_use():
     extras = tomllib.loads((TOP / "tools/pyproject.toml").read_text())["project"]["optional-dependencies"]
     wanted, brought = ["all", "recipes"], set()

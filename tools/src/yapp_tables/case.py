@@ -14,7 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from .differs import Limits
-from .errors import CaptureError, SetupError
+from .errors import CaptureError
 from .flight import Flight, read_flight
 from .incidents import is_command
 from .install import ask
@@ -58,10 +58,7 @@ def write_case(capture: Path, number: int, tshark: Tshark, out: Path) -> str:
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
             archive.writestr(name, content)
-    try:
-        write_whole(out, whole.getvalue())
-    except OSError as error:
-        raise SetupError(f"{out} cannot be written: {error.strerror}") from error
+    write_whole(out, whole.getvalue())
     return f"{about}; {', '.join(files)}"
 
 

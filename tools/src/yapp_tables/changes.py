@@ -214,14 +214,13 @@ SHAPES = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.17, 0.2, 0.25, 0.3, 0.
 class Following:
     """Samples of a value around changes of its command.
 
-    times, measured: (n); flights: for each the begin of its grid and the value that each of SHAPES predicts,
-    (len(SHAPES), m); number: (n) of the flight in that list.
+    times, measured: (n); grid: (m) times; predicted: (len(SHAPES), m), the response of each of SHAPES to the command.
     """
 
     times: Array
     measured: Array
-    flights: list[tuple[float, Array]]
-    number: Array
+    grid: Array
+    predicted: Array
 
     @classmethod
     def of(cls, samples: Mapping[tuple[str, str], Samples], own: Samples) -> Following | None:
@@ -241,18 +240,18 @@ class Following:
         use = np.isfinite(own.columns[pair[0]]) & (behind >= 0) & (since < 1.5)
         if use.sum() < 50:
             return None
-        numbers, number = np.unique(own.times[use] // APART, return_inverse=True)
-        flights = [_predicted(when[when // APART == each], told[when // APART == each], is_sent) for each in numbers]
-        return cls(own.times[use], own.columns[pair[0]][use], flights, number)
+        flights = [when[when // APART == number] for number in np.unique(when // APART)]
+        grid = np.concatenate([np.arange(its[0], its[-1] + 2, STEP) for its in flights])
+        # A command is in force from its message on; what a controller says ten times a second moves in between.
+        command = np.interp(grid, when, told)
+        if is_sent or float((np.diff(told) == 0).mean()) > 0.5:
+            command = told[np.maximum(np.searchsorted(when, grid, side="right") - 1, 0)]
+        predicted = np.ascontiguousarray(smoothed(grid, command, *SHAPES).T)
+        return cls(own.times[use], own.columns[pair[0]][use], grid, predicted)
 
     def squares(self, shape: int, lag: float) -> Array:
         """Return the squared distance from what is predicted with this delay, (n)."""
-        found = np.empty(len(self.times))
-        for number, (begin, values) in enumerate(self.flights):
-            its = self.number == number
-            at = (self.times[its] - lag - begin) / STEP
-            found[its] = np.interp(at, np.arange(values.shape[1]), values[shape])
-        return np.asarray((self.measured - found) ** 2)
+        return np.asarray((self.measured - np.interp(self.times - lag, self.grid, self.predicted[shape])) ** 2)
 
 
 def responses(runs: Sequence[Following]) -> list[tuple[float, float, int]]:
@@ -302,16 +301,3 @@ def command_of(samples: Mapping[tuple[str, str], Samples], own: Samples) -> tupl
         if good.sum() > 50 and np.std(told[good] - latest[good]) < 0.25 * np.std(told[good]):
             return one.times, one.columns[name]
     return own.times, told
-
-
-def _predicted(when: Array, told: Array, is_sent: bool) -> tuple[float, Array]:
-    """Return the begin of a grid and the responses of all SHAPES to a command.
-
-    is_sent: a command is in force from its message on; what a controller says ten times a second moves in between.
-    """
-    grid = np.arange(when[0], when[-1] + 2, STEP)
-    if is_sent or float((np.diff(told) == 0).mean()) > 0.5:
-        command = told[np.maximum(np.searchsorted(when, grid, side="right") - 1, 0)]
-    else:
-        command = np.interp(grid, when, told)
-    return float(grid[0]), np.ascontiguousarray(smoothed(grid, command, *SHAPES).T)

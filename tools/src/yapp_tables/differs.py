@@ -11,14 +11,12 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from .errors import SetupError
 from .series import DEGREES, Array, Samples
+from .tshark import Record
 
-Record = dict[str, Any]
 Found = Sequence[Samples]  # one message of all sources
 Windows = Sequence[tuple[float, float]]  # begin and end, in seconds since the report's start
 HOT, COLD, SECONDS = 10.0, 20.0, 20  # a temperature above or below the others, for so long
@@ -206,14 +204,10 @@ class Limits:
     """The rules that are ranges, `motor.dc_voltage=40..55`; of a source where they stand below `source=NAME`."""
 
     def __init__(self, path: Path | None = None) -> None:
-        """path: a file of rules, None for the default set. Raises SetupError."""
+        """path: a file of rules, None for the default set. Raises OSError."""
         self.is_default, self.name = path is None, path.name if path else ""
         self.ranges: dict[tuple[str, str, str], tuple[float, float]] = {}
-        try:
-            lines = (path.read_text(encoding="utf-8") if path else DEFAULTS).splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "it is no text"
-            raise SetupError(f"the rules in {path} cannot be read: {reason}") from error
+        lines = (path.read_text(encoding="utf-8", errors="replace") if path else DEFAULTS).splitlines()
         source = ""
         for text in (line.partition("#")[0].strip() for line in lines):
             if text.startswith("source="):

@@ -96,10 +96,6 @@ class Flight(Mapping[str, pa.Table]):
         """Return where seconds count from, in nanoseconds since 1970: the capture's begin, or the first message."""
         return self.begin or min(pc.min(table["time"]).value for table in self._tables.values())
 
-    def title(self, message: str | None) -> str:
-        """Return the title of a message."""
-        return self.titles.get(message or "", message or "unknown message")
-
     def __repr__(self) -> str:
         """Return what is in it, on one line."""
         rows = ", ".join(f"{name}: {len(rows)}" for name, rows in self._tables.items())

@@ -4,15 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from .sources import controllers, source_name
 from .tables import said
+from .tshark import Record
 
-Record = dict[str, Any]
 Messages = Mapping[str, pa.Schema]
 TOGETHER = 2.0  # seconds: events of one controller that are no further apart are one incident
 INCIDENT = ("fault", "reboot", "silence", "stale")

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from .series import DEGREES, LATE, Array, Samples, thin
+from .tshark import Record
 
-Record = dict[str, Any]
 DIGITS = {"°C": 0, "V": 2, "A": 2, "W": 0, "RPM": 0, "Wh": 1, "Ah": 3}  # behind the point
 SAG = 10  # seconds: a voltage is compared with its highest of so long before
 # How many times as far from the others' median as they usually are, for each shade.

@@ -6,12 +6,12 @@ from __future__ import annotations
 import base64
 import gzip
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from .differs import Found, Limits, Windows, beyond, calm_samples, differing, flying, middle_of, sagging
 from .series import DEGREES, Array, thin
+from .tshark import Record
 
 # What the page keeps of a signal of one source: 20 minutes at 10 Hz. It thins that to what its window has room for.
 SAMPLES = 12_000
@@ -20,7 +20,6 @@ CLOUD_ENDS = 20
 ODD, APART = 0.5, 0.1  # of the others' current at the same speed, that a point is away, and of the largest
 ODD_SHARE = 0.1  # of the points of a source: with fewer it is not called odd
 COLOURS, IDS_OF_A_BUS = 16, 8
-Record = dict[str, Any]
 
 
 class Pictures:

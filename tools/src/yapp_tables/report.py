@@ -23,11 +23,11 @@ from .flight import Flight, read_flight
 from .incidents import events_of, excused, fault_rows, faults_in, filter_of, joined, other_rows
 from .matrix import Matrix, multiples
 from .pages import css
-from .pictures import Pictures, Record, packed
+from .pictures import Pictures, packed
 from .scratch import write_whole
 from .series import Samples, samples
 from .sources import source_name
-from .tshark import Tshark
+from .tshark import Record, Tshark
 from .verdict import head, merged, series_of
 
 CARDS = 8  # of a page
@@ -52,10 +52,7 @@ def write_page(capture: Path, out: StrPath | None, rules: StrPath | None, tshark
     flight = read_flight(capture, tshark, has_begin=True)
     count = faults_in(flight.events)
     told = cards(capture, tshark, range(1, min(count, CARDS) + 1))[0] if count else []
-    try:
-        write_report(flight, page, limits, told)
-    except OSError as error:
-        raise SetupError(f"{page} cannot be written: {error.strerror}") from error
+    write_report(flight, page, limits, told)
     return page, flight
 
 

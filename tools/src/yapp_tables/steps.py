@@ -10,7 +10,6 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,8 +18,8 @@ from pyarrow import csv
 from .changes import command_of, slope
 from .errors import SetupError
 from .series import DEGREES, Array, Samples, numbers
+from .tshark import Record
 
-Record = dict[str, Any]
 LEAST_STEP, HOLD, NEAR = 0.05, 0.5, 0.2  # share of the command's range; seconds; share of the step
 LEAST_POINT, SETTLED, LEVEL = 3.0, 1.0, 0.015  # seconds; seconds; share of the largest command
 BAND = 0.05  # of the step: what is inside has settled

@@ -10,12 +10,11 @@ import html
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
-from typing import Any
 
 from .errors import count_of
 from .series import DEGREES
+from .tshark import Record
 
-Record = dict[str, Any]
 HEADS = ("what", "source", "begin", "UTC", "duration", "frames", "details")
 LOSSES = ("incomplete", "crc", "missing", "stale")
 FEW = 3  # incidents of a kind that are told one by one
