@@ -170,12 +170,12 @@ def test_delta_tables_of_several_workers_one_of_which_is_killed(make_capture, tm
 
 def test_convert_one_is_what_a_scheduler_calls(make_capture, tmp_path):
     capture = flight(make_capture)
-    config = yt.Config(str(tmp_path / "data"), "parquet", yt.Tshark(str(FAKE)))
+    how = {"out": str(tmp_path / "data"), "tshark": str(FAKE)}
     cluster = LocalCluster(n_workers=1, threads_per_worker=2, processes=True, dashboard_address=None)
     with cluster, Client(cluster) as client:
-        results = client.gather(client.map(yt.convert_one, [str(capture)] * 3, config=config, pure=False))
+        results = client.gather(client.map(yt.convert_one, [str(capture)] * 3, pure=False, **how))
     assert len({one.flight_id for one in results}) == 1
     assert results[0].messages["motor"] == 3
     assert len(motor(tmp_path)) == 3
-    missing = yt.convert_one(tmp_path / "none.pcapng", config)
+    missing = yt.convert_one(tmp_path / "none.pcapng", **how)
     assert (missing.failure, missing.flight_id) == ("no such file", "")

@@ -38,9 +38,10 @@ def test_a_full_disk_of_a_delta_table_is_said_at_once(make_capture, tmp_path, mo
         raise kind(f"Generic LocalFileSystem error\n \x1b[31m↳\x1b[0m {os.strerror(errno.ENOSPC)} (os error 28)")
 
     monkeypatch.setattr("yapp_tables.delta.write_deltalake", write)
-    config = yt.Config(str(tmp_path / "data"), "delta", yt.Tshark(FAKE))
     with pytest.raises(yt.SetupError, match=r"the disk is full: .+data.yapp-tables; free some space there$"):
-        yt.convert_one(make_capture("flight.pcapng", motor=[motor_row(0)]), config)
+        yt.convert_one(
+            make_capture("flight.pcapng", motor=[motor_row(0)]), str(tmp_path / "data"), to="delta", tshark=FAKE
+        )
     assert len(tries) == 1
 
 
@@ -49,6 +50,7 @@ def test_an_error_of_deltalake_is_one_line(make_capture, tmp_path, monkeypatch):
         raise OSError("Generic S3 error\n          \x1b[31m↳\x1b[0m client error (Connect)\n")
 
     monkeypatch.setattr("yapp_tables.delta.write_deltalake", write)
-    config = yt.Config(str(tmp_path / "data"), "delta", yt.Tshark(FAKE))
-    result = yt.convert_one(make_capture("flight.pcapng", motor=[motor_row(0)]), config)
+    result = yt.convert_one(
+        make_capture("flight.pcapng", motor=[motor_row(0)]), str(tmp_path / "data"), to="delta", tshark=FAKE
+    )
     assert result.failure == "Delta Lake: Generic S3 error client error (Connect)"

@@ -6,7 +6,7 @@
 
 from importlib.metadata import version
 
-from .convert import Config, convert, convert_one
+from .convert import convert, convert_one
 from .dataset import Result
 from .errors import CaptureError, MessageError, SetupError, YappError
 from .flight import Flight, read
@@ -15,6 +15,6 @@ from .tshark import Tshark
 
 __version__ = version("yapp-tables")
 __all__ = [
-    "CaptureError", "Config", "Flight", "MessageError", "Result", "SetupError", "Tshark", "YappError", "convert",
+    "CaptureError", "Flight", "MessageError", "Result", "SetupError", "Tshark", "YappError", "convert",
     "convert_one", "read", "report",
 ]  # fmt: skip

@@ -9,10 +9,11 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,20 +38,6 @@ KINDS = {
     "mf4": ("mf4", "write_mf4", "mdf"),
     "mcap": ("mcap_file", "write_mcap", "mcap"),
 }
-
-
-@dataclass(frozen=True)
-class Config:
-    """What a conversion depends on besides its capture: all that another machine needs to know.
-
-    out: a folder, or a URL of fsspec such as s3://bucket/folder; to: "parquet", "csv", "mf4", "mcap" or "delta";
-    tshark: how captures are decoded; bench: the log of a thrust stand.
-    """
-
-    out: str
-    to: Kind = "parquet"
-    tshark: Tshark = field(default_factory=Tshark)
-    bench: str | None = None
 
 
 def find(patterns: StrPath | Iterable[StrPath]) -> list[Path]:
@@ -91,13 +78,12 @@ def convert(
     if bench and len(found) > 1:
         raise SetupError(f"{bench} is the log of one capture: name that one alone")
     writer(to)
-    where = str(out) if "://" in str(out) else os.path.abspath(out)
-    config = Config(where, to, Tshark(**how), os.path.abspath(bench) if bench else None)
-    dataset = DataSet(config.out, config.to)
-    made = made_by(config.tshark, config.tshark.fields())
+    where, tshark = str(out) if "://" in str(out) else os.path.abspath(out), Tshark(**how)
+    dataset, made = DataSet(where, to), made_by(tshark, tshark.fields())
     dataset.open()
+    task = partial(convert_one, out=where, to=to, bench=bench and os.path.abspath(bench), made=made, **how)
     with _executor(scheduler, jobs or os.cpu_count() or 1) as pool:
-        done = _run(found, config, made, pool)
+        done = _run(found, task, pool)
     flights = {result.capture: result.flight_id for result in done.values() if not result.failure}
     for old in dataset.results():  # of a capture that has another content now
         if old.capture in flights and old.flight_id not in flights.values():
@@ -124,12 +110,12 @@ def _executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
         yield client.get_executor(pure=False)
 
 
-def _run(captures: Sequence[Path], config: Config, made: str, pool: Executor) -> dict[Path, Result]:
+def _run(captures: Sequence[Path], task: Callable[[Path], Result], pool: Executor) -> dict[Path, Result]:
     """Convert all, the largest first."""
     sizes = {capture: capture.stat().st_size if capture.exists() else 0 for capture in captures}
     waiting = {}
     for capture in sorted(captures, key=lambda capture: -sizes[capture]):
-        waiting[pool.submit(convert_one, capture, config, made)] = capture
+        waiting[pool.submit(task, capture)] = capture
     done: dict[Path, Result] = {}
     with tqdm(total=sum(sizes.values()), unit="B", unit_scale=True, disable=None) as bar:
         for future in as_completed(waiting):
@@ -137,7 +123,7 @@ def _run(captures: Sequence[Path], config: Config, made: str, pool: Executor) ->
             if future.cancelled():
                 raise SetupError("the Dask scheduler went away; the same command does the rest")
             error = future.exception()
-            failed = Result("", str(capture), made, failure=str(error) or type(error).__name__)
+            failed = Result("", str(capture), "", failure=str(error) or type(error).__name__)
             done[capture] = failed if error else future.result()
             bar.set_postfix_str(f"{len(done)}/{len(captures)} files", refresh=False)
             bar.update(sizes[capture])
@@ -160,57 +146,65 @@ def made_by(tshark: Tshark, fields: Record) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def convert_one(capture: StrPath, config: Config, made: str | None = None) -> Result:
+def convert_one(
+    capture: StrPath,
+    out: str,
+    *,
+    to: Kind = "parquet",
+    bench: StrPath | None = None,
+    made: str | None = None,
+    **how: Any,
+) -> Result:
     """Convert one capture: a task for Dask, Prefect, Dagster or a loop.
 
     It may run twice at once, and be killed at any point: the data set then has the flight once, or not yet.
 
-    made: what the machine that gives the order has of plugin and catalogue; this one must have the same.
+    out, to, bench: as for convert; made: what the machine that gives the order has of plugin and catalogue; this one
+    must have the same.
 
     Returns the Result, whose `failure` says why there is no data. Raises SetupError where no other capture would do
     better on this machine, and YappError where the data set cannot be written.
     """
-    capture = Path(os.path.abspath(capture))
-    made = made or made_by(config.tshark, config.tshark.fields())
-    dataset = DataSet(config.out, config.to)
+    capture, tshark, dataset = Path(os.path.abspath(capture)), Tshark(**how), DataSet(out, to)
+    made = made or made_by(tshark, tshark.fields())
     dataset.open()
     flight = ""
     try:
         check_file(capture)
         flight = flight_id(capture)
         known = dataset.find(flight)
-        if known and known.made_by == made and dataset.has_files(known) and not config.bench:
+        if known and known.made_by == made and dataset.has_files(known) and not bench:
             if known.capture != str(capture) and not os.path.exists(known.capture):  # it was moved
                 known = replace(known, capture=str(capture))
                 dataset.note(known)
             return known
-        return _convert(capture, config, dataset, made)
+        return _convert(capture, dataset, tshark, made, Path(bench) if bench else None)
     except SetupError:
         raise
     except OSError as error:
-        raise YappError(f"{config.out}: {error}") from error
+        raise YappError(f"{out}: {error}") from error
     except YappError as error:
         return Result(flight, str(capture), made, failure=str(error).removeprefix(f"{capture}: "))
 
 
-def _convert(capture: Path, config: Config, dataset: DataSet, made: str) -> Result:
+def _convert(capture: Path, dataset: DataSet, tshark: Tshark, made: str, bench: Path | None) -> Result:
     with dataset.aside() as aside:
-        export = config.tshark.export(capture, aside / "export")
-        here = made_by(config.tshark, export.fields)
+        export = tshark.export(capture, aside / "export")
+        here = made_by(tshark, export.fields)
         if here != made:
             raise SetupError(f"the machine that works on it has another plugin or catalogue: {here}, not {made}")
         flight = Flight(capture, export)
-        tables = flight.tables(capture, config.tshark.options, Path(config.bench) if config.bench else None)
+        tables = flight.tables(capture, tshark.options, bench)
         name = f"{SUFFIXES.sub('', capture.name)}-{flight.flight_id[:8]}{'.partial' if export.partial else ''}"
         folder = aside / "result"
         folder.mkdir()
         before = dataset.find(flight.flight_id)
-        writer(config.to)(tables, Target(folder, name, dataset.url, flight.flight_id))
+        writer(dataset.to)(tables, Target(folder, name, dataset.url, flight.flight_id))
         files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
         counts = {name: len(rows) for name, rows in tables.items()}
         known = flight.flight_id, str(capture), made, files, counts, export.partial, export.lacks
         result = Result(*known, notes=flight.notes)
         dataset.place(folder, result)
-        if before and config.to == "delta" and (gone := before.messages.keys() - counts.keys()):
+        if before and dataset.to == "delta" and (gone := before.messages.keys() - counts.keys()):
             need(f"{__package__}.delta", "delta").delete(dataset.url, flight.flight_id, gone)
         return result

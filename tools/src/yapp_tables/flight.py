@@ -20,7 +20,7 @@ from .records import TABLES, column, columns_of, faults, table, to_write
 from .scratch import scratch
 from .series import samples
 from .steps import aligned, point_columns, points, steps
-from .tables import HEAD, catalogue_version, present, read_rows
+from .tables import catalogue_version, present, read_rows
 from .tables import messages as catalogue
 from .tshark import Export, Record, Tshark
 
@@ -41,15 +41,8 @@ class Flight(Mapping[str, pa.Table]):
     partial: why a capture could not be read to its end; notes: sentences on copies.
     """
 
-    def __init__(
-        self,
-        capture: Path,
-        export: Export,
-        messages: Sequence[str] | None = None,
-        columns: Sequence[str] | None = None,
-        begin: int | None = None,
-    ) -> None:
-        """Load the tables of an export of this capture; messages, columns: these only; begin: of the capture."""
+    def __init__(self, capture: Path, export: Export, begin: int | None = None) -> None:
+        """Load the tables of an export of this capture; begin: of the capture."""
         self.name, self.flight_id, self.begin = capture.name, flight_id(capture), begin
         self.partial, self.left_out, self.notes = export.partial, export.left_out, list(export.notes)
         self.plugin, self.catalogue = str(export.fields["plugin"]), catalogue_version(export.fields)
@@ -61,26 +54,16 @@ class Flight(Mapping[str, pa.Table]):
         if not found:
             raise CaptureError(": ".join([f"{capture}: no YAPP messages in it", *self.left_out]))
         self.titles: dict[str, str] = {name: schema.metadata[b"title"].decode() for name, schema in known.items()}
-        wanted = [name for name in known if not messages or name in messages]
-        for name in messages or ():
-            self._check("message", name, known)
-        for name in columns or ():
-            words = dict.fromkeys([*HEAD, *(each for message in wanted for each in known[message].names)])
-            self._check("column", name, words, f" in {' and '.join(wanted)}")
-        self.messages = {name: known[name] for name in found if name in wanted}
+        self.messages = {name: known[name] for name in found}
         about = {"source_file": self.name, "flight_id": self.flight_id}
-        self._tables = {name: read_rows(export, name, about, columns) for name in self.messages}
-
-    @staticmethod
-    def _check(what: str, name: str, words: Mapping[str, Any], where: str = "") -> None:
-        if name not in words:
-            raise MessageError(f"no {what} {name!r}{where}; known {what}s: {', '.join(words)}")
+        self._tables = {name: read_rows(export, name, about) for name in found}
 
     def __getitem__(self, message: str) -> pa.Table:
         """Return the rows of a message; MessageError, a KeyError, where the capture has none."""
         if message in self._tables:
             return self._tables[message]
-        self._check("message", message, self.titles)
+        if message not in self.titles:
+            raise MessageError(f"no message {message!r}; known messages: {', '.join(self.titles)}")
         why = "; ".join(self.left_out) or f"it has {', '.join(self)}"
         raise MessageError(f"{self.name} has no decoded {self.titles[message]}: {why}")
 
@@ -163,34 +146,23 @@ class Flight(Mapping[str, pa.Table]):
         }
 
 
-def read_flight(
-    capture: Path,
-    tshark: Tshark,
-    messages: Sequence[str] | None = None,
-    columns: Sequence[str] | None = None,
-    has_begin: bool = False,
-) -> Flight:
+def read_flight(capture: Path, tshark: Tshark, has_begin: bool = False) -> Flight:
     """Read as `read` does, without its warnings.
 
     has_begin: whether the first packet's time is wanted, for which tshark runs once more.
     """
     with scratch() as folder:
         export = tshark.export(capture, folder / "export")
-        return Flight(capture, export, messages, columns, tshark.begin(capture) if has_begin else None)
+        return Flight(capture, export, tshark.begin(capture) if has_begin else None)
 
 
-def read(
-    capture: StrPath, *, messages: Sequence[str] | None = None, columns: Sequence[str] | None = None, **how: Any
-) -> Flight:
+def read(capture: StrPath, **how: Any) -> Flight:
     """Read a capture with tshark and the plugin.
 
-    messages: names of messages, ["motor"]; columns: names of columns besides the time, ["rpm_measured"]; None for all.
-    What is not wanted is not read.
-
     What is left out is a warning: the rest of a damaged capture, messages that were not decoded.
-    Returns a Flight. Raises YappError; MessageError, with the words that exist, for an unknown message or column.
+    Returns a Flight. Raises YappError.
     """
-    flight = read_flight(Path(capture), Tshark(**how), messages, columns)
+    flight = read_flight(Path(capture), Tshark(**how))
     for text in flight.left_out:
         warnings.warn(f"{capture}: {text}", stacklevel=2)
     return flight

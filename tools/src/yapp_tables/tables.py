@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -107,17 +107,11 @@ def catalogue_version(fields: Record) -> str:
     return f"{', '.join(fields['messages'])} ({hashlib.sha256(text.encode()).hexdigest()[:8]})"
 
 
-def read_rows(export: Export, name: str, flight: Record, wanted: Sequence[str] | None = None) -> pa.Table:
-    """Return the rows of one message in an export.
-
-    flight: {"source_file", "flight_id"}; wanted: the columns besides the time, None for all.
-    """
-    whole, path = messages(export.fields)[name], export.csv(name)
-    names = [each for each in whole.names if wanted is None or each in (*wanted, "time")]
-    schema = pa.schema([whole.field(each) for each in names], whole.metadata)
+def read_rows(export: Export, name: str, flight: Record) -> pa.Table:
+    """Return the rows of one message in an export. flight: {"source_file", "flight_id"}."""
+    schema = messages(export.fields)[name]
     less = {each["name"]: (each["of"], each["less"]) for each in differences(export.fields["messages"][name])}
-    needed = {*names, "source", *(part for each in names for part in less.get(each, ()))}
-    given = _read_csv(path, whole, needed)
+    given = _read_csv(export.csv(name), schema)
     count = len(given["time"])
     given |= {key: repeated(text, count) for key, text in flight.items()} | {"controller": given["source"]}
     for field in schema:
@@ -132,10 +126,10 @@ def read_rows(export: Export, name: str, flight: Record, wanted: Sequence[str] |
     return pa.table(cells, schema=schema).unify_dictionaries()
 
 
-def _read_csv(path: Path, schema: pa.Schema, needed: set[str]) -> dict[str, pa.ChunkedArray]:
-    """Return these columns of a table of the plugin, times as text. An empty cell is null."""
+def _read_csv(path: Path, schema: pa.Schema) -> dict[str, Any]:
+    """Return the columns of a table of the plugin, times as text. An empty cell is null."""
     with path.open(encoding="utf-8", newline="") as file:
-        names = [name for name in next(csv.reader(file)) if name in needed]
+        names = [name for name in next(csv.reader(file)) if name in schema.names]
     types = {field.name: pa.string() if field.type in (TIME, DURATION) else field.type for field in schema}
     has_text = any(types[name] == pa.string() and name != "time" for name in names)
     found = arrow_csv.read_csv(
