@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from importlib.abc import MetaPathFinder
 from pathlib import Path
+from types import ModuleType
 
 from . import __version__, baseline, install
 from .case import write_case
@@ -109,7 +110,9 @@ def _parser() -> argparse.ArgumentParser:
     uninstall = commands.add_parser("uninstall", help="what was installed out of Wireshark")
     uninstall.add_argument("--purge", action="store_true", help="what you changed, too")
     for name, command in commands.choices.items():
-        command.set_defaults(run=RUN.get(name, _installer), what=name)
+        command.set_defaults(
+            run=RUN.get(name, lambda given: install.run(given.what, getattr(given, "purge", False))), what=name
+        )
         lines = "\n".join(f"  yapp-tables {name} {example}" for example in EXAMPLES[name])
         command.epilog, command.formatter_class = f"examples:\n{lines}", argparse.RawDescriptionHelpFormatter
     return parser
@@ -126,7 +129,7 @@ def _say(texts: Iterable[str]) -> None:
         print(f"yapp-tables: {text}", file=sys.stderr)
 
 
-def _installer(given: argparse.Namespace) -> int:
+def _install(given: argparse.Namespace) -> int:
     return install.run(given.what, getattr(given, "purge", False))
 
 
@@ -192,20 +195,19 @@ def _diff(given: argparse.Namespace) -> int:
     found = diff.compare(before, after, _tshark(given), Path(given.rules) if given.rules else None)
     if given.junit:
         write_whole(Path(given.junit), diff.junit(found))
-    if given.out:
-        write_whole(Path(given.out), diff.page(found))
-    for line in diff.json_lines(found) if given.json else diff.lines(found):
-        print(line)
-    return found.code
+    return _print(given, diff, found) or found.code
 
 
 def _trend(given: argparse.Namespace) -> int:
     from . import trend
 
-    found, notes = trend.drifts(Path(given.data))
+    return _print(given, trend, trend.drifts(Path(given.data)))
+
+
+def _print(given: argparse.Namespace, module: ModuleType, found: object) -> int:
     if given.out:
-        write_whole(Path(given.out), trend.page(found, notes))
-    for line in trend.json_lines(found) if given.json else trend.lines(found, notes):
+        write_whole(Path(given.out), module.page(found))
+    for line in module.json_lines(found) if given.json else module.lines(found):
         print(line)
     return 0
 

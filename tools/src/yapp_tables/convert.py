@@ -173,7 +173,8 @@ def convert_one(
         check_file(capture)
         flight = flight_id(capture)
         known = dataset.find(flight)
-        if known and known.made_by == made and dataset.has_files(known) and not bench:
+        is_there = known and all(dataset.fs.exists(f"{dataset.path}/{file}") for file in known.files)
+        if known and is_there and known.made_by == made and not bench:
             if known.capture != str(capture) and not os.path.exists(known.capture):  # it was moved
                 known = replace(known, capture=str(capture))
                 dataset.note(known)

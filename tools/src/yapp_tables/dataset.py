@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -95,15 +95,9 @@ class DataSet:
             notes = self.fs.cat(paths, on_error="omit")
             yield from (Result(**json.loads(notes[path])) for path in sorted(notes))
 
-    def has_files(self, result: Result) -> bool:
-        """Return whether the files of a result are there."""
-        return all(self.fs.exists(f"{self.path}/{file}") for file in result.files)
-
-    @contextmanager
-    def aside(self) -> Iterator[Path]:
+    def aside(self) -> AbstractContextManager[Path]:
         """A local folder to write to, of this task alone; on the file system of the data where that is local."""
-        with scratch(self.beside if self.is_local else None) as folder:
-            yield folder
+        return scratch(self.beside if self.is_local else None)
 
     def place(self, folder: Path, result: Result) -> None:
         """Move all files in folder to their place, remove what an older result left, and note the result last."""

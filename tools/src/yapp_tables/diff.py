@@ -406,7 +406,7 @@ def _events(found: Comparison) -> Iterator[Finding]:
     for (who, what), sides in counts.items():
         few, many = (sum(int(event["count"] or 1) for event in side) for side in sides)
         if what in LOSSES:  # they come in bursts
-            few, many = (len({event["at"]["time"] // BURST for event in side}) for side in sides)
+            few, many = (len({(event["at"]["file"], event["at"]["time"] // BURST) for event in side}) for side in sides)
         is_more = more_often(few, many, share) < chance
         is_less = more_often(many, few, 1 - share) < chance
         kind = "worse" if is_more else "better" if is_less else "changed"

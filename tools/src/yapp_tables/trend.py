@@ -61,11 +61,16 @@ class Drift:
         return known | {"flights": len(self.values), "first": self.flights[0], "last": self.flights[-1]}
 
 
-def drifts(data: Path) -> tuple[list[Drift], list[str]]:
-    """Return the values of all controllers over the flights of a data set of Parquet files, what drifts first.
+@dataclass
+class Trend:
+    """The values of all controllers, what drifts first; notes: sentences on what is not told."""
 
-    And sentences on what is not told. Raises SetupError.
-    """
+    drifts: list[Drift]
+    notes: list[str]
+
+
+def drifts(data: Path) -> Trend:
+    """Return the values of all controllers over the flights of a data set of Parquet files. Raises SetupError."""
     rows: dict[Key, list[tuple[str, Array, Array]]] = defaultdict(list)
     values: dict[Key, list[tuple[str, float]]] = defaultdict(list)
     for flight, found, summary in _flights(data):
@@ -86,7 +91,7 @@ def drifts(data: Path) -> tuple[list[Drift], list[str]]:
     notes = [f"{who}: fewer than {LEAST_FLIGHTS} comparable flights, no trend" for who in sorted(few)]
     if not values:
         notes.append(f"no flight in {data} has {LEAST_SECONDS:g} s of turning motors")
-    return sorted(drifting, key=lambda one: (not one.is_sure, one.controller, one.title)), notes
+    return Trend(sorted(drifting, key=lambda one: (not one.is_sure, one.controller, one.title)), notes)
 
 
 def _flights(data: Path) -> Iterator[tuple[str, dict[tuple[str, str], Samples], list[Record]]]:
@@ -204,29 +209,29 @@ def _drift(key: Key, rows: Sequence[tuple[str, float]], chance: float) -> Drift:
     return Drift(who, title, unit, [name for name, _ in rows], values, each, low, high, is_sure)
 
 
-def lines(found: Sequence[Drift], notes: Sequence[str]) -> Iterator[str]:
+def lines(found: Trend) -> Iterator[str]:
     """Yield the answer as text."""
-    sure = [one for one in found if one.is_sure]
+    sure = [one for one in found.drifts if one.is_sure]
     yield from (one.sentence() for one in sure)
-    yield from notes
-    yield f"{count_of(len(sure), 'drift')} in {count_of(len(found), 'value')} of controllers"
+    yield from found.notes
+    yield f"{count_of(len(sure), 'drift')} in {count_of(len(found.drifts), 'value')} of controllers"
 
 
-def json_lines(found: Sequence[Drift]) -> Iterator[str]:
+def json_lines(found: Trend) -> Iterator[str]:
     """Yield a JSON line for each value of each controller."""
-    return (json.dumps(one.record(), ensure_ascii=False) for one in found)
+    return (json.dumps(one.record(), ensure_ascii=False) for one in found.drifts)
 
 
-def page(found: Sequence[Drift], notes: Sequence[str]) -> str:
+def page(found: Trend) -> str:
     """Return a page with one small picture a value, a row a controller."""
-    sure = [("worse", one.sentence()) for one in found if one.is_sure]
-    titles = list(dict.fromkeys(one.title for one in found))
+    sure = [("worse", one.sentence()) for one in found.drifts if one.is_sure]
+    titles = list(dict.fromkeys(one.title for one in found.drifts))
     rows = [f"<tr><th>controller</th>{''.join(f'<th>{html.escape(title)}</th>' for title in titles)}</tr>"]
-    for who in sorted({one.controller for one in found}):
-        own = {one.title: _picture(one) for one in found if one.controller == who}
+    for who in sorted({one.controller for one in found.drifts}):
+        own = {one.title: _picture(one) for one in found.drifts if one.controller == who}
         cells = "".join(f"<td>{own.get(title, '')}</td>" for title in titles)
         rows.append(f"<tr><th>{html.escape(who)}</th>{cells}</tr>")
-    lists = [pages.listed(sure or [("", "nothing drifts")]), pages.listed([("pale", note) for note in notes])]
+    lists = [pages.listed(sure or [("", "nothing drifts")]), pages.listed([("pale", note) for note in found.notes])]
     return pages.page("Trend over flights", [*lists, f"<table>{''.join(rows)}</table>"])
 
 
