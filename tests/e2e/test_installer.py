@@ -156,8 +156,7 @@ def test_another_copy_is_named(home):
     for path in [home, *home.rglob("*")]:
         path.chmod(0o777 if path.is_dir() else 0o666)
     lines = run(home, code=1, path=REAL)
-    line_of(lines, "problem", "another copy of the plugin is in " + str(home / PLUGINS / "an-old-one"))
-    line_of(lines, "problem", "instead of")
+    line_of(lines, "problem", f"another copy, {home / PLUGINS / 'an-old-one/yapp.lua'}, instead of")
 
 
 @pytest.mark.parametrize("place", [PLUGINS / "clone", YAPP, pathlib.Path(".config/wireshark/plugins/x")])

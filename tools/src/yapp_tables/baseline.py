@@ -10,7 +10,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
@@ -318,21 +317,18 @@ def _conditional(message: str, found: Found, value: str, other: str) -> Iterator
 def _least_apart(extremes: dict[tuple[str, str], list[Extreme]]) -> dict[str, tuple[float, float]]:
     """Return by name of a rule how far flights are apart at least, below and above.
 
-    The flights of one controller may be alike by chance: they are apart as those of most controllers, and by a step of
-    the field, which is the least distance of two of its lowest, or highest, values.
+    The flights of one controller may be alike by chance: they are apart as those of most controllers.
     """
     sources = defaultdict(list)
     for (_, what), found in extremes.items():
         sources[what].append(found)
-    least = {}
-    for what, peers in sources.items():
-        numbers = [end for found in peers for end in found] if what.endswith(".numbers") else []
-        sides = sorted({low for low, _, _ in numbers}), sorted({high for _, high, _ in numbers})
-        step = min((after - before for side in sides for before, after in pairwise(side)), default=0.0)
-        below = median(_apart([low for low, _, _ in found], -1) for found in peers)
-        above = median(_apart([high for _, high, _ in found], 1) for found in peers)
-        least[what] = max(step, below), max(step, above)
-    return least
+    return {
+        what: (
+            median(_apart([low for low, _, _ in found], -1) for found in peers),
+            median(_apart([high for _, high, _ in found], 1) for found in peers),
+        )
+        for what, peers in sources.items()
+    }
 
 
 def _rule(one: Finding, covered: list[Extreme], apart: tuple[float, float]) -> Rule:

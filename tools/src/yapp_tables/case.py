@@ -20,7 +20,7 @@ from .incidents import is_command
 from .install import ask
 from .report import cards, write_report
 from .scratch import scratch, write_whole
-from .sources import controllers
+from .series import controllers
 from .tshark import Record, Tshark
 
 AROUND = 2  # seconds before a fault and behind its end

@@ -110,9 +110,7 @@ def _parser() -> argparse.ArgumentParser:
     uninstall = commands.add_parser("uninstall", help="what was installed out of Wireshark")
     uninstall.add_argument("--purge", action="store_true", help="what you changed, too")
     for name, command in commands.choices.items():
-        command.set_defaults(
-            run=RUN.get(name, lambda given: install.run(given.what, getattr(given, "purge", False))), what=name
-        )
+        command.set_defaults(run=RUN.get(name, _install), what=name)
         lines = "\n".join(f"  yapp-tables {name} {example}" for example in EXAMPLES[name])
         command.epilog, command.formatter_class = f"examples:\n{lines}", argparse.RawDescriptionHelpFormatter
     return parser

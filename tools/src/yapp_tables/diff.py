@@ -19,8 +19,7 @@ from . import pages
 from .changes import BLOCK, LEAST_BLOCKS, Change, Following, Load, change, dependent, more_often, responses
 from .errors import count_of
 from .flight import Flight, read_flight
-from .series import APART, DEGREES, Array, Samples, joined, samples
-from .sources import controllers, source_name
+from .series import APART, DEGREES, Array, Samples, controllers, joined, samples, source_name
 from .tshark import Record, Tshark
 
 LEAST_SECONDS, LEAST_COMMON = 20.0, 0.3  # of a run; share of its samples at loads of both

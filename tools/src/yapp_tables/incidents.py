@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pyarrow as pa
 
-from .sources import controllers, source_name
+from .series import controllers, source_name
 from .tables import said
 from .tshark import Record
 

@@ -229,10 +229,6 @@ def refuse_to_install(source: Path, wireshark: Wireshark) -> None:
 def problems(source: Path, wireshark: Wireshark) -> Iterator[str]:
     """Say what there is, and give the sentences that say what is wrong with it."""
     entry, tshark, name = wireshark.target / "yapp.lua", wireshark.tshark, wireshark.name
-    copies = {real(path): path.parent for folder in wireshark.plugin_folders for path in folder.glob("**/yapp.lua")}
-    for path, folder in copies.items():
-        if path != real(entry):
-            yield f"another copy of the plugin is in {folder}: Wireshark loads only one; remove one of them"
     own = plugin_version(source / "yapp.lua")
     if not entry.is_file():
         yield f"nothing is installed in {wireshark.target}"
@@ -253,7 +249,7 @@ def problems(source: Path, wireshark: Wireshark) -> Iterator[str]:
     elif not wireshark.lua:
         yield f"{tshark} was built without Lua: install Wireshark's official package, or your distribution's"
     elif loaded and real(loaded[0]) != real(entry):
-        yield f"Wireshark loads {loaded[0]} instead of {entry}"
+        yield f"Wireshark loads another copy, {loaded[0]}, instead of {entry}: remove one of them"
     elif re.search(r"\tyapp\s", protocols):
         say("checked", f"{name} loads {entry}")
     elif IS_ROOT and wireshark.version >= NOT_AS_ROOT:

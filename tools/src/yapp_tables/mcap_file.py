@@ -10,9 +10,8 @@ from typing import Any
 import pyarrow as pa
 from mcap.writer import Writer
 
-from .sources import begin, by_source, times_of
 from .tables import DURATION, TIME, said
-from .writers import Tables, Target, seconds
+from .writers import Tables, Target, begin, by_source, seconds, times_of
 
 # MCAP has the time itself; the rest stands once, in the metadata `flight`.
 LEFT_OUT = ("time", "source_file", "flight_id")

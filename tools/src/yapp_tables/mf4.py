@@ -14,9 +14,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from asammdf import MDF, Signal
 
-from .sources import begin, by_source, times_of
 from .tables import DURATION, HEAD, TIME, is_message, said
-from .writers import Tables, Target
+from .writers import Tables, Target, begin, by_source, times_of
 
 # As the plugin numbers the reserved counts in `<field>.special`.
 SPECIAL = ("nan", "inf", "-inf", "above", "below")

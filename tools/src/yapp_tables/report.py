@@ -25,8 +25,7 @@ from .matrix import Matrix, multiples
 from .pages import css
 from .pictures import Pictures, packed
 from .scratch import write_whole
-from .series import Samples, samples
-from .sources import source_name
+from .series import Samples, samples, source_name
 from .tshark import Record, Tshark
 from .verdict import head, merged, series_of
 

@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Messages of controllers as arrays, over one flight or several; thinned so that extremes and gaps stay."""
+"""Messages of controllers by source, as arrays, over one flight or several; thinned so that extremes and gaps stay."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from .sources import natural, split
-from .tables import said
+from .tables import plain, said
 
 LATE = 2.5  # a gap is longer than this many periods, as for the plugin's yapp.late
 DEGREES = ("°C", "C", "degC")
@@ -76,6 +77,38 @@ class Samples:
         """Return the time before each message; NaN before the first of a flight."""
         gaps = np.diff(self.times, prepend=self.times[:1] - APART)
         return np.where(gaps > APART / 2, np.nan, gaps)
+
+
+def split(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
+    """Return the rows of each source, without dictionaries, by its name: the user's, or bus and ID, "can0 0x210"."""
+    rows = plain(rows)
+    coded = rows["id"].combine_chunks().dictionary_encode()
+    texts = pa.array([f"0x{number:03x}" for number in coded.dictionary.to_pylist()], pa.string()).take(coded.indices)
+    number = pc.binary_join_element_wise(pc.fill_null(rows["bus"], ""), texts, " ")
+    names = pc.utf8_trim_whitespace(pc.coalesce(rows["source"], number))
+    for name in sorted(pc.unique(names).to_pylist(), key=natural):
+        yield name, rows.filter(pc.equal(names, name))
+
+
+def source_name(row: dict[str, Any]) -> str:
+    """Return the user's name for a source, else its bus and ID: `can0 0x210`; of what has none, all of the capture."""
+    number = "" if row.get("id") is None else f"0x{row['id']:03x}"
+    return row.get("source") or " ".join(part for part in (row.get("bus"), number) if part) or "capture"
+
+
+def controllers(events: Sequence[dict[str, Any]]) -> list[object]:
+    """Return the controller of each event, None where it has no ID.
+
+    It is a name; without one that of the same bus and last digit of the ID, if it has one; else these two.
+    """
+    places = [None if event["id"] is None else (event["bus"], event["id"] & 0xF) for event in events]
+    names = {place: event["controller"] for place, event in zip(places, events, strict=True) if event["controller"]}
+    return [event["controller"] or names.get(place, place) for place, event in zip(places, events, strict=True)]
+
+
+def natural(name: str) -> list[str | int]:
+    """Return what sorts names as people do: M2 before M10."""
+    return [int(word) if word.isdecimal() else word for word in re.split(r"(\d+)", name)]
 
 
 def samples(tables: Mapping[str, pa.Table], number: int = 0, start: int = 0) -> dict[tuple[str, str], Samples]:

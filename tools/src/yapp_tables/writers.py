@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pyarrow import csv as arrow_csv
 
-from .tables import DURATION, KIND
+from .series import split
+from .tables import DURATION, KIND, is_message, plain
 
 ROW_GROUP = 100_000
 
@@ -54,3 +55,27 @@ def _path(target: Target, name: str, suffix: str) -> Path:
     path = target.folder / f"message={name}" / f"{target.name}.{suffix}"
     path.parent.mkdir()
     return path
+
+
+# ---- MF4 and MCAP keep each source by itself: four controllers in one channel would be a zigzag
+
+
+def by_source(table: pa.Table) -> Iterator[tuple[tuple[str, ...], pa.Table]]:
+    """Return the rows of each source, and its name, of which bus and ID are two words.
+
+    Events, faults, the summary and the flight stay together, and are called nothing.
+    """
+    for name, own in split(table) if is_message(table) else [("", plain(table))]:
+        is_named = is_message(table) and own["source"][0].is_valid
+        yield (name,) if is_named else tuple(name.split()), own.combine_chunks()
+
+
+def begin(tables: Iterable[pa.Table]) -> int:
+    """Return the time of the first message, in nanoseconds since 1970."""
+    return int(min(rows["time"][0].value for rows in tables if is_message(rows)))
+
+
+def times_of(rows: pa.Table, start: int) -> pa.ChunkedArray:
+    """Return the times of rows in nanoseconds since 1970; start where there is none."""
+    times = rows["time"] if "time" in rows.schema.names else pa.chunked_array([pa.nulls(len(rows))])
+    return pc.fill_null(times.cast(pa.int64()), start)
