@@ -250,6 +250,7 @@ def test_times_are_read_by_people_and_count_from_the_captures_begin(example_brow
 
 
 def test_a_colour_is_a_controller_and_each_value_is_named_once(example_browser):
+    draw(example_browser)
     script = (
         """const [query] = arguments; return [...document.querySelectorAll(query)].map(one => one.textContent.trim())"""
     )

@@ -100,14 +100,13 @@ class Pictures:
 
     def _figures(self, found: Found, names: Sequence[str]) -> None:
         """A figure for each value of all sources, with its command."""
-        values = {name: np.concatenate([one.columns[name] for one in found]) for name in names}
-        drawn = [
-            name for name in names if np.nanmin(values[name], initial=np.inf) < np.nanmax(values[name], initial=-np.inf)
-        ]
+        ends = {name: [(np.nanmin(one.columns[name], initial=np.inf), np.nanmax(one.columns[name], initial=-np.inf))
+                       for one in found] for name in names}  # fmt: skip
+        drawn = [name for name in names if any(low < high for low, high in ends[name])]
         figures, lead = {}, found[0]
         for name in drawn:
-            ends = zip(*(self.limits.of(one, name) for one in found), strict=True)
-            limits = [end if np.isfinite(end) else None for end in (max(next(ends)), min(next(ends)))]  # the narrowest
+            lows, highs = zip(*(self.limits.of(one, name) for one in found), strict=True)
+            limits = [end if np.isfinite(end) else None for end in (max(lows), min(highs))]  # the narrowest
             about: Record = {"title": lead.title_of(name), "unit": lead.unit_of(name), "message": lead.title}
             figures[name] = about | {"limits": limits, "key": f"{lead.message}.{name}", "lines": list[Record]()}
             self.figures.append(figures[name])
