@@ -1,9 +1,5 @@
-#!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Flights with known truth: controllers on two buses; faults, a reboot, a silence, lost frames, reserved counts.
-
-flights.py SEED SECONDS FILE.pcapng [eight]
-"""
+"""Flights with known truth: controllers on two buses; faults, a reboot, a silence, lost frames, reserved counts."""
 
 from __future__ import annotations
 
@@ -23,10 +19,6 @@ BUSES = ("can0", "can1")
 OVERCURRENT, STALL = 0x1_0000, 0x80_0000
 # Of eight controllers one has an overcurrent of 0.3 s, one falls silent for good, one gets hot.
 EIGHT = ((), (), ("silent",), (), (), ("overcurrent",), (), ("hot",))
-EIGHT_OPTIONS = tuple(
-    f"yapp.{message}_ids:{','.join(f'can{n // 4}/{first + n % 4:#x}' for n in range(8))}"
-    for message, first in (("motor", 0x210), ("health", 0x200))
-)
 SHORT = 300_000_000  # nanoseconds of an overcurrent, and of the current before it
 FLAGS = {OVERCURRENT: "motor_overcurrent", STALL: "motor_stall"}
 NAN16, NAN8, ABOVE8 = 65535, 255, 252
@@ -196,8 +188,3 @@ def send(pcap, time, bus, message, payload, lose=None):
     for number, (can_id, data) in enumerate(frames(message, payload)):
         if number != lose:
             pcap.frame(time + number * 100_000, bus, can_id, data)
-
-
-if __name__ == "__main__":
-    given = {"plans": EIGHT} if sys.argv[4:] == ["eight"] else {}
-    write(sys.argv[3], int(sys.argv[1]), float(sys.argv[2]), **given)

@@ -50,18 +50,6 @@ def test_a_conversion_needs_no_pandas(make_capture, tmp_path, to):
     assert done.stdout == "0 False\n", done.stderr
 
 
-def test_csv_has_one_header_row_and_reads_back(make_capture, yapp_tables, tmp_path):
-    rows = [motor_row(0), motor_row(1, rpm_measured="", rpm_measured_special="inf"), motor_row(2, rpm_measured="")]
-    assert yapp_tables("convert", make_capture("a.pcap", motor=rows), "--to", "csv", "--out", "data").returncode == 0
-    path = result(tmp_path / "data/message=motor", "a", ".csv")
-    frame = pd.read_csv(path, parse_dates=["time"])
-    assert frame["rpm_measured"].tolist()[0] == 1000.5
-    assert frame["time"].astype("int64").tolist()[0] == 1_700_000_000_000_000_001
-    assert frame["rpm_measured"].isna().tolist() == [False, True, True]
-    assert str(frame["rpm_measured_special"][1]) == "inf"
-    assert pl.read_csv(path, try_parse_dates=True)["fault_motor_overcurrent"].dtype == pl.Boolean
-
-
 def test_up_to_date_results_are_skipped_and_others_made_again(make_capture, yapp_tables, tmp_path):
     capture = flight(make_capture)
     command = ["convert", capture, "--to", "parquet", "--out", "data"]

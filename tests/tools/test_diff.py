@@ -12,7 +12,7 @@ import numpy as np
 import pairs
 import pytest
 from running import PLUGIN, run_tables
-from yapp_tables.changes import change, more_often, slope
+from yapp_tables.changes import change, more_often
 
 
 @pytest.fixture(scope="module")
@@ -133,23 +133,8 @@ def test_the_interval_holds_what_it_promises():
     assert 2 <= outside <= 24, outside
 
 
-def test_too_few_blocks_give_no_answer():
-    times = np.arange(100) / 10
-    assert change(times, times, times > 5) is None
-
-
 @pytest.mark.parametrize(
     ("before", "after", "chance"), [(0, 0, 1), (0, 5, 1 / 32), (5, 5, 0.623), (3, 20, 0.000244), (20, 3, 0.99998)]
 )
 def test_more_often(before, after, chance):
     assert more_often(before, after, 0.5) == pytest.approx(chance, rel=0.01)
-
-
-def test_a_robust_slope():
-    rng = np.random.default_rng(1)
-    x = np.arange(40.0)
-    y = 0.3 * x + rng.normal(size=40)
-    y[7] = 1000
-    each, low, high = slope(x, y)
-    assert low < 0.3 < high
-    assert abs(each - 0.3) < 0.05

@@ -15,7 +15,6 @@ import time
 import pyarrow.parquet as pq
 import pytest
 from running import FAKE, killing, motor_row, run_tables, started, wait_for_results
-from yapp_tables.cli import main
 
 # Ten run before a run is held, see fake_tshark.py; so four remain when the workers are killed.
 COUNT = 14
@@ -80,14 +79,6 @@ def test_a_scheduler_that_dies_is_a_sentence_and_what_was_done_is_kept(fleet):
     assert "Traceback" not in done.stderr
     assert convert(fleet).returncode == 0
     assert_complete(fleet, is_clean=False)
-
-
-def test_no_scheduler_is_a_sentence(make_capture, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(sys.modules["yapp_tables.convert"], "SCHEDULER_SECONDS", 1)
-    capture = make_capture("a.pcapng", motor=[motor_row(0)])
-    command = ["convert", capture, "--to", "parquet", "--out", tmp_path / "data", "--tshark", FAKE]
-    assert main([*map(str, command), "--scheduler", "tcp://127.0.0.1:1"]) == 2
-    assert "no Dask scheduler answers at tcp://127.0.0.1:1" in capsys.readouterr().err
 
 
 def test_progress_is_a_bar_on_a_terminal_and_a_line_at_the_end_elsewhere(make_capture, tmp_path):

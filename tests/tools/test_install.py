@@ -32,9 +32,3 @@ def test_install_check_uninstall(command, tmp_path):
     assert files(tmp_path) == {plugin + "taurus_fields.lua"}
     assert command("uninstall", "--purge").returncode == 0
     assert files(tmp_path) == set()
-
-
-def test_check_says_what_is_wrong(command):
-    done = command("check")
-    assert done.returncode == 1
-    assert "nothing is installed" in done.stderr

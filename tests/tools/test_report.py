@@ -12,7 +12,7 @@ from pathlib import Path
 
 import flights
 import pytest
-from running import PLUGIN, motor_row, run_tables
+from running import PLUGIN, run_tables
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
@@ -504,10 +504,3 @@ def test_on_paper_nothing_is_cut_and_no_picture_is_split(eight):
         assert base64.b64decode(pdf["data"]).count(b"/Type /Page\n") <= 4
     finally:
         browser.quit()
-
-
-def test_rules_that_cannot_be_read_are_an_error(make_capture, yapp_tables):
-    make_capture("flight.pcapng", motor=[motor_row(0)])
-    done = yapp_tables("report", "flight.pcapng", "--rules", "no.rules")
-    assert done.returncode == 1
-    assert "No such file or directory: 'no.rules'" in done.stderr

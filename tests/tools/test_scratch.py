@@ -43,14 +43,3 @@ def test_a_full_disk_of_a_delta_table_is_said_at_once(make_capture, tmp_path, mo
             make_capture("flight.pcapng", motor=[motor_row(0)]), str(tmp_path / "data"), to="delta", tshark=FAKE
         )
     assert len(tries) == 1
-
-
-def test_an_error_of_deltalake_is_one_line(make_capture, tmp_path, monkeypatch):
-    def write(*_arguments, **_options):
-        raise OSError("Generic S3 error\n          \x1b[31m↳\x1b[0m client error (Connect)\n")
-
-    monkeypatch.setattr("yapp_tables.delta.write_deltalake", write)
-    result = yt.convert_one(
-        make_capture("flight.pcapng", motor=[motor_row(0)]), str(tmp_path / "data"), to="delta", tshark=FAKE
-    )
-    assert result.failure == "Delta Lake: Generic S3 error client error (Connect)"
