@@ -36,14 +36,6 @@ SINGLE = ("reboot", "silence", "disabled", "bus", "absent", "shared", "jump")  #
 CALM = 3.0  # seconds that a controller takes to be as before, after a reboot or a Command that was disabled
 
 
-def flag_of(messages: Messages, event: Record) -> pa.Field | None:
-    """Return the column of the flag that an event is about."""
-    flags = messages.get(event["message"], ()) if event["kind"] == "fault" else ()
-    return next(
-        (column for column in flags if column.name.endswith(f"_{event['flag']}") and role(column) == "flag"), None
-    )
-
-
 def role(column: pa.Field) -> str:
     """Return the role of a column."""
     return said(column.metadata).get("role", "")
@@ -111,8 +103,9 @@ def fault_rows(messages: Messages, events: list[Record], end: float) -> list[Rec
     for event in (event for event in events if event["kind"] == "fault"):
         key = event["who"], event["message"], event["flag"]
         if event["event"] == "raised" or (event["event"] == "cleared" and key not in open_rows):
-            flag = flag_of(messages, event)
-            what = said(flag.metadata)["title"] if flag else event["flag"]
+            flags = (column for column in messages.get(event["message"], ()) if role(column) == "flag")
+            titles = (said(flag.metadata)["title"] for flag in flags if flag.name.endswith(f"_{event['flag']}"))
+            what = next(titles, event["flag"])
             # One that is cleared alone was raised before what a filter let through.
             begin = event["at"] - (event["active"] or 0.0)
             open_rows[key] = _row(event, what, begin=begin, end=None, length=end - begin)

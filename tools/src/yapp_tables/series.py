@@ -180,21 +180,10 @@ def thin(one: Samples, columns: list[Array], most: int) -> tuple[Array, list[Arr
     if len(times) > most:
         size = -(-2 * len(times) // most)
         starts = np.unique(np.concatenate([np.arange(0, len(times), size), gaps]))
-        columns = [_extremes(column, starts) for column in columns]
+        columns = [np.stack([end.reduceat(column, starts) for end in (np.fmin, np.fmax)], axis=1).ravel()
+                   for column in columns]  # fmt: skip
         ends = np.append(starts[1:], len(times)) - 1
         at = np.searchsorted(starts, gaps) * 2
         times = np.stack([times[starts], times[ends]], axis=1).ravel()
     thinned = np.insert(times, at, one.times[gaps - 1] + one.every)
     return thinned, [np.insert(column, at, np.nan) for column in columns]
-
-
-def _extremes(values: Array, starts: Array) -> Array:
-    """Two values for each stretch: the one of smallest and largest that comes first, then the other."""
-    low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
-    stretch = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(values))))
-    places = np.arange(len(values))
-    first_low, first_high = (
-        np.minimum.reduceat(np.where(values == end[stretch], places, len(values)), starts) for end in (low, high)
-    )
-    falls = first_high < first_low
-    return np.stack([np.where(falls, high, low), np.where(falls, low, high)], axis=1).ravel()

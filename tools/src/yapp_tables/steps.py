@@ -115,14 +115,10 @@ def _answer(one: Samples, field: str, begin: float, end: float, before: float, c
 
 def _crossing(times: Array, values: Array, share: float) -> float | None:
     """Return when values reached a share first, on the line between two samples; at least 0."""
-    there = np.flatnonzero((values >= share) & (times >= 0))
-    if not len(there):
-        return None
-    at = int(there[0])
-    if at == 0 or values[at - 1] >= share:
-        return float(times[at])
-    part = (share - values[at - 1]) / (values[at] - values[at - 1])
-    return max(0.0, float(times[at - 1] + part * (times[at] - times[at - 1])))
+    last = max(int(np.searchsorted(times, 0)) - 1, 0)  # before the step
+    reached = np.maximum.accumulate(values[last:])
+    is_there = len(reached) > 0 and reached[-1] >= share
+    return max(0.0, float(np.interp(share, reached, times[last:]))) if is_there else None
 
 
 def points(found: Mapping[tuple[str, str], Samples], bench: Bench | None = None) -> Iterator[Record]:
