@@ -71,10 +71,10 @@ def install_plugin(home):
     bundle.write(home / ".local/lib/wireshark/plugins/yapp", Path(PLUGIN).parent)
 
 
-def run_tables(folder, *arguments, **options):
+def run_tables(folder, *arguments, timeout=300, **options):
     """The command as a user runs it, in this folder; returns the finished process."""
     command = [sys.executable, "-m", "yapp_tables", *map(str, arguments)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, **options)
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout, **options)
 
 
 def result(folder, name, suffix):

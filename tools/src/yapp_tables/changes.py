@@ -202,6 +202,17 @@ def dependent(one: Samples) -> Iterator[tuple[str, str]]:
             yield name, "°C" if one.unit_of(name) in DEGREES else one.unit_of(name)
 
 
+def comparable(values: Array, good: Array, unit: str) -> tuple[Array, Array]:
+    """Return values as they are compared, and which of them: a current as a multiple, by its logarithm.
+
+    A current of both signs has no multiple: none of it is compared.
+    """
+    if unit != "A" or not good.any():
+        return values, good
+    good = good & (values > 0.1 * np.median(values[good])) & bool((values[good] > 0).mean() > 0.98)
+    return np.log(np.where(good, values, 1.0)), good
+
+
 # ---- a delay, then a response of first order, at 100 steps a second
 
 STEP = 0.01  # seconds

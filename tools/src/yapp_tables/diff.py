@@ -16,7 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 from . import pages
-from .changes import BLOCK, LEAST_BLOCKS, Change, Following, Load, change, dependent, more_often, responses
+from .changes import BLOCK, LEAST_BLOCKS, Change, Following, Load, change, comparable, dependent, more_often, responses
 from .errors import count_of
 from .flight import Flight, read_flight
 from .series import APART, DEGREES, Array, Samples, controllers, joined, samples, source_name
@@ -256,7 +256,7 @@ def _values(found: Comparison) -> Iterator[Finding]:
 
 
 def _at_load(pair: Pair) -> Iterator[_Measured]:
-    """Compare each value at equal load. A current is compared as a multiple, if it has one sign."""
+    """Compare each value at equal load."""
     one, load = pair.sides[0], pair.load()
     for name, kind in dependent(one) if one.names("clock") else ():
         if name not in pair.sides[1].columns:
@@ -266,12 +266,7 @@ def _at_load(pair: Pair) -> Iterator[_Measured]:
         if load:
             unit = max(float(np.nanmax(load.speed, initial=1.0)), 1.0)
             terms, good = load.curve(unit, kind == "°C"), good & load.common(pair.is_after)
-        shown = values
-        if kind == "A":
-            if not good.any() or (values[good] > 0).mean() <= 0.98:
-                continue
-            good &= values > 0.1 * np.nanmedian(values[good])
-            shown = np.log(np.where(good, values, 1.0))
+        shown, good = comparable(values, good, kind)
         if result := pair.change(shown, good, terms):
             usual = [_usual(pair, side, name, kind == "A") for side in (0, 1)] if kind != "%" else []
             has_others = all(map(len, usual)) and kind != "%"

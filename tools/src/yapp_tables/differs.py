@@ -115,11 +115,8 @@ def _medians(values: list[Array]) -> Array:
 def _surges(found: Found, values: list[Array]) -> Iterator[Record]:
     """Find who had a multiple of what the others had at the same moment."""
     every = max(one.every for one in found)
-    grid = np.full((len(found), int(max(one.times[-1] for one in found) / every) + 2), np.nan)
-    for row, one, own in zip(grid, found, values, strict=True):
-        row[np.maximum(0, np.rint(one.times / every)).astype(int)] = own
     # A message that comes a bit late leaves a step without a value: the one before stands there.
-    grid[:, 1:] = np.where(np.isnan(grid[:, 1:]), grid[:, :-1], grid[:, 1:])
+    grid = _by_second(found, values, every, 1)
     least = APART * np.nanmax(np.abs(grid), initial=0.0)
     for number, own in enumerate(grid if len(found) > 2 else ()):
         middle, is_odd = _beside(grid, number, least, 0)
@@ -173,16 +170,19 @@ def middle_of(grid: Array) -> Array:
         return np.asarray(np.nanmedian(grid, axis=0))
 
 
-def _by_second(found: Found, values: list[Array]) -> Array:
-    """Return the mean of each source and second, the one before where there is none; NaN after five seconds."""
-    length = int(max(one.times[-1] for one in found)) + 1
+def _by_second(found: Found, values: list[Array], step: float = 1.0, hold: int = 5) -> Array:
+    """Return the mean of each source and second, the one before where there is none; NaN after five seconds.
+
+    step: another length than a second; hold: so many steps a value stands.
+    """
+    length = int(max(one.times[-1] for one in found) / step) + 1
     grid = np.full((len(found), length), np.nan)
     for row, one, each in zip(grid, found, values, strict=True):
         good = np.isfinite(each) & (one.times >= 0)
-        at = one.times[good].astype(int)
+        at = (one.times[good] / step).astype(int)
         count = np.bincount(at, minlength=length)
         last = np.maximum.accumulate(np.where(count > 0, np.arange(length), -1))
-        known = (last >= 0) & (np.arange(length) - last <= 5)
+        known = (last >= 0) & (np.arange(length) - last <= hold)
         row[known] = (np.bincount(at, each[good], minlength=length) / np.maximum(count, 1))[last[known]]
     return grid
 

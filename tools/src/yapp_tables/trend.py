@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from tqdm import tqdm
 
 from . import pages
-from .changes import Following, Load, dependent, responses, slope
+from .changes import Following, Load, comparable, dependent, responses, slope
 from .errors import SetupError, count_of
 from .series import Array, Samples, samples
 from .tables import SCHEMA, is_message, said
@@ -121,15 +121,12 @@ def _at_load(one: Samples, load: Load) -> Iterator[tuple[Key, Array, Array]]:
     is_turning = np.isfinite(at.volts) & (at.speed > 0.2 * max(float(np.nanquantile(load.speed, 0.98)), 1.0))
     for name, unit in dependent(one):
         values, good = one.columns[name], is_turning & np.isfinite(one.columns[name])
+        if supply and name == supply[1]:
+            # At equal speed the power is the same: a lower supply means a higher current.
+            values = values * at.volts
+        values, good = comparable(values, good, unit)
         if good.sum() * one.every < LEAST_SECONDS / 2:
             continue
-        if unit == "A":
-            if (values[good] > 0).mean() < 0.98:
-                continue  # a current of both signs has no multiple
-            good &= values > 0
-            # At equal speed the power is the same: a lower supply means a higher current.
-            level = at.volts if supply and name == supply[1] else np.ones(len(values))
-            values = np.log(np.maximum(values * level, 1e-9))
         # In units that are the same in all flights.
         columns = np.column_stack([values, at.curve(1000, unit == "°C")])[good]
         second = np.unique(np.floor(one.times[good]), return_inverse=True)[1]
