@@ -66,7 +66,6 @@ preferences.complain(mistakes)
 local yapp = Proto("yapp", "Yet Another Packet Protocol")
 local all = Proto("yapp_all", "YAPP (all extended frames)")
 local serial = Proto("yapp_serial", "YAPP serial stream")
-local skipped = Proto("yapp_skipped", "YAPP, bytes between the frames of a serial dump")
 local taurus = Proto("taurus", "Taurus motor controller")
 local headers = header_reader.new(Proto("yapp_socketcan", "YAPP reads CAN headers"))
 local tcp_header = Proto("yapp_tcp", "YAPP reads TCP headers")
@@ -197,10 +196,6 @@ end)
 
 serial.dissector = counted(function(tvb, pinfo, root)
   return streams:dissect(tvb, pinfo, root)
-end)
-
-skipped.dissector = counted(function(tvb, pinfo, root)
-  return streams:dissect(tvb, pinfo, root, true)
 end)
 
 -- A conversation becomes YAPP's with its first packet that is YAPP.

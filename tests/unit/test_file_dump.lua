@@ -18,15 +18,15 @@ local function time_of(bytes)
 end
 
 local OPTIONS = { new_framer = new_framer, time_of = time_of }
--- In front of the bytes of a record: the name of its dissector.
-local TAGS = { ["yapp_serial\0"] = false, yapp_skipped = true }
+-- The port type in front of the bytes of a record.
+local SKIPPED = { ["\3"] = false, ["\4"] = true }
 
 -- What read and seek_read return, as a record.
 local function record_of(offset, packet, seconds, nanoseconds)
   if not offset then return nil end
-  lu.assertEquals({ packet:sub(1, 4), packet:sub(17, 28) }, { "\0\12\0\12", "\0\24\0\4\0\0\0\3\0\0\0\0" })
+  lu.assertEquals({ packet:sub(1, 23), packet:sub(25, 28) }, { "\0\12\0\12yapp_serial\0\0\24\0\4\0\0\0", "\0\0\0\0" })
   return { offset = offset, bytes = packet:sub(29), seconds = seconds, nanoseconds = nanoseconds,
-    is_skipped = TAGS[packet:sub(5, 16)] }
+    is_skipped = SKIPPED[packet:sub(24, 24)] }
 end
 
 local function records(text)

@@ -8,12 +8,11 @@ local MAX_AHEAD = 1048576 -- bytes to search for a time stamp; they are kept
 local MAX_SKIPPED = 65536 -- bytes of no frame in a record; Wireshark takes four times that
 local ID_FROM, ID_TO = 5, 8 -- bytes of a frame that are its ID
 
--- A record is an exported PDU: it names its dissector, and a UDP port type says that it is complete
--- in itself.  Bytes between frames may look like the start of a frame.  Only the bytes behind them
--- prove that they are not, so they have a dissector of their own.
-local DISSECTOR, UDP = "\0\12\0\12", "\0\24\0\4\0\0\0\3\0\0\0\0" -- tags, each with its length
-local FRAME = DISSECTOR .. "yapp_serial\0" .. UDP
-local SKIPPED = DISSECTOR .. "yapp_skipped" .. UDP
+-- A record is an exported PDU: it names its dissector, and its port type, UDP, says that it is
+-- complete in itself.  Bytes between frames may look like the start of a frame.  Only the bytes
+-- behind them prove that they are not, so they have the port type DCCP, see serial.lines.
+local TAGS = "\0\12\0\12yapp_serial\0\0\24\0\4\0\0\0%s\0\0\0\0" -- each with its length
+local FRAME, SKIPPED = TAGS:format("\3"), TAGS:format("\4")
 
 -- Times ------------------------------------------------------------------------------------------
 

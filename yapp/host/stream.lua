@@ -152,16 +152,16 @@ function Dissector:dissect_segment(segment, tvb, pinfo, tree)
 end
 
 --- Dissect the bytes of a packet.  Those of a TCP segment are shown when TCP has shown it.
--- is_skipped  true if they are of no frame in a raw dump
--- returns     the number of bytes that are ours
-function Dissector:dissect(tvb, pinfo, tree, is_skipped)
-  local size = length_of(tvb)
+-- returns  the number of bytes that are ours
+function Dissector:dissect(tvb, pinfo, tree)
+  local size, kind = length_of(tvb), pinfo.port_type
   if size == 0 then return 0 end
   if pinfo.in_error_pkt then -- an ICMP error only quotes bytes that were sent before
     self.number = pinfo.number
     return 0
   end
-  local line, is_bus_known = line_of(self, pinfo, pinfo.port_type)
+  local is_skipped = kind == lines.SKIPPED
+  local line, is_bus_known = line_of(self, pinfo, is_skipped and lines.UDP or kind)
   if line.is_tcp then
     line.is_shown = true
     if self.tcp:read(pinfo.number) then return size end

@@ -6,7 +6,8 @@ local memo = require "yapp.base.memo"
 
 local M = {}
 
-M.TCP, M.UDP = 2, 3 -- pinfo.port_type
+-- pinfo.port_type; in a raw dump UDP and, for bytes of no frame, DCCP.
+M.TCP, M.UDP, M.SKIPPED = 2, 3, 4
 -- Addresses of packets without one: of a serial line, or of a raw dump, whose packets are like UDP.
 local NO_ADDRESS = { [""] = true, NONE = true }
 
