@@ -71,7 +71,7 @@ def stream(rng, count, path):
 
 
 def flight(rng, _, path):
-    form = rng.choice([*flights.FORMS, flights.LINKS])
+    form = rng.choice(flights.FORMS)
     one = flights.make(rng.getrandbits(32))
     one.write(path, form)
     return ".log" if form == "candump" else ".pcapng", one.arguments(form)

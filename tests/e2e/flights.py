@@ -30,7 +30,6 @@ OTHERS = [name for name in KIND if name not in ("command", "motor", "health")]  
 # Columns of the summary that count events of a kind; a new one of a kind that is planted is a row here.
 COUNTS = {"reboots": "reboot", "invalid": "invalid", "skipped": "skipped", "missing": "missing", "copies": "copies"}
 FORMS = ["pcapng", "sll2", "candump"]
-LINKS = "links"  # each bus in a link type of its own
 LATE_PCAPNG = "late pcapng"  # the interfaces but the first one behind what the plugin looks at when it opens a file
 
 
@@ -508,10 +507,6 @@ class Flight:
         truth = Truth(self, form)
         return {"events": truth.events, "faults": truth.faults, "summary": truth.summary, "missing_by_period": truth.missing_by_period}
 
-    def link_of(self, bus):
-        """The link type in which the form "links" has a bus, and what makes a packet of a frame."""
-        return LINK_TYPES[(self.begin + bus) % len(LINK_TYPES)]
-
     def rows(self, form):
         """Of each known message the good ones in the order of the capture: (frame, bus, source, message)."""
         found = {name: [] for name in KIND}
@@ -535,12 +530,11 @@ class Flight:
         linktype, sll2 = (capture_file.SLL2, True) if form == "sll2" else (capture_file.SOCKETCAN, False)
         blocks = [capture_file.section()]
         for bus, name in enumerate([None] if sll2 else self.names):
-            linktype = self.link_of(bus)[0] if form == LINKS else linktype
             blocks.append(capture_file.interface(linktype, name, capture_file.NANOSECONDS))
             if form == LATE_PCAPNG and bus == 0:
                 blocks.append(capture_file.LONG_BLOCK)
         for frame in self.frames:
-            record = self.link_of(frame.bus)[1](frame) if form == LINKS else frame.record(little=sll2)
+            record = frame.record(little=sll2)
             record = capture_file.sll2(record, frame.bus + 1) if sll2 else record
             blocks.append(capture_file.packet(frame.at, record, 0 if sll2 else frame.bus))
         return b"".join(blocks)
@@ -554,9 +548,6 @@ def acf_can(*frames):
         body = bytes([padding << 6 | 8, 1]) + bytes(8) + struct.pack(">I", frame.can_id) + frame.data + bytes(padding)
         messages += struct.pack(">H", 1 << 9 | (2 + len(body)) // 4) + body
     return bytes(12) + b"\x22\xf0" + struct.pack(">BBBB8x", 0x82, 0x80 | len(messages) >> 8, len(messages) & 0xFF, 0) + messages
-
-
-LINK_TYPES = [(capture_file.SOCKETCAN, Frame.record), (capture_file.SLL, lambda frame: capture_file.sll(frame.record(little=True)))]
 
 
 def make(seed, is_clean=False):

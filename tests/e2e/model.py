@@ -115,7 +115,6 @@ MESSAGES = {
         ("fet_temperature", 1, TEMPERATURE), ("vin_rms_ripple", 1, RIPPLE), ("vin_pp_ripple", 1, RIPPLE),
         ("taurus_status", 1, Flags("status", HEALTH_STATUS)), ("board_revision", 1, Number())], 0.5),
 }
-SPECIALS = ["Not a Number", "Positive Infinity", "Negative Infinity", "Out of Range High", "Out of Range Low"]
 
 
 def is_float(kind):

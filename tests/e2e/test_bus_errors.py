@@ -203,15 +203,6 @@ def test_asc(folder):
     assert failed(path, "bus_errors=3")[1]["bus_errors"] == 4
 
 
-def test_a_pipe(folder):
-    frames = flight(random.Random(3))
-    path = folder / "errors.pcapng"
-    path.write_bytes(FORMS["pcapng"][0](frames))
-    with path.open("rb") as stdin:
-        found = on_buses(said("-", stdin=stdin))
-    assert [(what, number) for _, what, number in found] == [(what, number) for _, what, number in truth(frames)[0]]
-
-
 def test_near(folder):
     """A fault, a silence and a loss name the bus events of their bus that come within a second."""
     frames = []

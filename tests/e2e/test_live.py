@@ -212,22 +212,6 @@ def test_which_ports_there_are(extcap, monkeypatch):
     assert extcap.serial_ports() == ports
 
 
-def test_where_a_packet_ends(extcap, monkeypatch):
-    """At a pause of more than 2 ms, and after 20 ms: later bytes would have the time of the first ones."""
-    clock, waits = [0.0], []
-
-    def read(_, seconds):
-        waits.append(seconds)
-        clock[0] += 0.0015
-        return b"x" if len(waits) < 40 else options.stop.set() or b""
-
-    monkeypatch.setattr(extcap.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(extcap, "open_by_termios", lambda *_: (read, lambda: None))
-    options = types.SimpleNamespace(port="tty", second="", stop=threading.Event())
-    sizes = [len(packet[1]) - len(extcap.EXPORTED_PDU) for packet in filter(None, extcap.serial_packets("tty", options))]
-    assert set(waits) == {0.2, 0.002} and sizes[0] == 15 and sum(sizes) == 39
-
-
 # A serial port --------------------------------------------------------------------------------------------------------
 
 def test_frames_with_pauses_are_packets_and_not_held_back(folder, port):

@@ -44,20 +44,6 @@ def test_no_fault_is_missed(folder, stamp):
     assert code == 21 and not re.search("(?m)^(FAILED|ok) +(silence|stale|jump)", printed)
 
 
-def test_what_was_recorded_twice_counts_twice(folder):
-    """Without times nothing tells a copy from a controller that repeats its bytes: the answer says it."""
-    counts = []
-    for copies in (1, 2):
-        path = folder / f"{copies}.log"
-        CLEAN.write(path, "candump")
-        lines = re.sub(r"(?m)^\(\d+\.\d+\)", "(0000000000.000000)", path.read_text()).splitlines()
-        path.write_text("".join(f"{line}\n" * copies for line in lines))
-        code, printed, said = z(path, "summary,json", *CLEAN.arguments("candump"))
-        counts.append([json.loads(line)["count"] for line in printed.splitlines()])
-        assert code == 0 and EQUAL in said
-    assert sum(counts[0]) > 100 and counts[1] == [2 * count for count in counts[0]]
-
-
 @pytest.mark.parametrize("ahead", [(0, 9, 4), (3, 0, 1), (0, 7.4, 2), (5, 0, 1)], ids=str)
 def test_a_recorder_for_each_message(folder, ahead):
     """One adapter's clock is seconds ahead of the next one's: nobody is silent, at no time and not to the end."""

@@ -25,7 +25,6 @@ HAVE_FAULTS = [message.name for message in model.MESSAGES.values() if message.al
 PASSES = {"one pass": (), "two passes": ("-2",)}
 CASES = [(seed, flights.FORMS[seed % 3], passes) for seed in SEEDS for passes in PASSES]
 CASES += [(1, flights.LATE_PCAPNG, passes) for passes in PASSES]
-CASES += [(seed, flights.LINKS, passes) for seed in (SEEDS[0], SEEDS[-1]) for passes in PASSES]
 # A first pass has the fields that a filter names, and here not all that tell the bus.
 PASSES["half told"] = ("-2", "-Y", "frame.interface_id == 0")
 CASES += [(1, "sll2", "half told")]

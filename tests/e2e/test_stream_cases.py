@@ -339,24 +339,6 @@ FILES = {"uart.pcapng": "two_uarts_directions.pcapng", "usb.pcapng": "usbmon_cdc
          "tcp.pcap": "tcp_8_byte_segments.pcap", "async.csv": "saleae_async.csv"}
 
 
-@pytest.mark.parametrize("export", ["digital", "data table"])
-def test_exports_of_a_logic_analyser(folder, export):
-    """Whatever the export, with the times of the bytes; before the trigger they are negative."""
-    text = (CASES / "saleae_before_trigger.csv").read_text()
-    if export == "data table":
-        rows = [line.split(",") for line in text.splitlines()[1:]]
-        text = "name,type,start_time,duration,data\n" + "".join(
-            f'"Async Serial","data",{float(at)!r},8.6e-05,"{byte}"\n' for at, byte, *_ in rows)
-    (folder / "async.csv").write_text(text)
-    recipe, question = [command for command in COMMANDS if "async.pcapng" in command]
-    assert test_readme.shell(folder, recipe).returncode == 0
-    counts, events = statistics(folder / "async.pcapng", *USER_DLT)
-    assert counts["uart0", MOTOR_DATA] == 60
-    assert "not decoded" not in test_readme.shell(folder, question).stderr
-    lengths = [row["active"] for row in events if row["kind"] == "fault" and row["active"]]
-    assert all(abs(length - 1) < 0.01 for length in lengths) and len(lengths) == 2
-
-
 def bluetooth(packet):
     """A notification of Bluetooth LE, as an HCI packet with a direction."""
     value = struct.pack("<BH", 0x1B, 0x12) + packet.data

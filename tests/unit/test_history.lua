@@ -4,7 +4,6 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local history = require("yapp.message.history")
-local kilobytes = require("support").kilobytes
 local levels = require("levels")
 local little_endian = require("stream_generator").little_endian
 local stamps_of = require("yapp.capture.stamps")
@@ -270,25 +269,6 @@ function T.test_a_revisit_gets_the_same_in_any_order()
       lu.assertEquals(looked_up(h, messages[i]), noted[i], ("seed %d, m %d"):format(seed, i))
     end
   end
-end
-
--- In an only pass memory grows with events, not with messages.
-function T.test_nothing_is_kept_of_messages_that_change_nothing()
-  local h = new()
-  local m = motor(1, 0)
-  local function note(first, last)
-    for i = first, last do
-      m.key, m.time, m.seq, m.payload = i, i * 0.1, i % 256, tostring(i)
-      m.raws[MOTOR.time.index] = little_endian(i * 1e8, 8)
-      h:add(m, true)
-    end
-  end
-  note(1, 10000) -- Lua's own tables of strings grow too, at times
-  local before = kilobytes()
-  note(10001, 20000)
-  local least = kilobytes() - before
-  note(20001, 30000)
-  lu.assertTrue(math.min(least, (kilobytes() - before) / 2) < 40)
 end
 
 return T

@@ -340,22 +340,6 @@ end
 
 -- Work and memory --------------------------------------------------------------------------------------------------
 
--- Nor do packets with ends and beginnings of frames, when the stream has gone on: 40 frames of 48 bytes, 64 at a time.
-function T.test_parts_of_frames_cost_little()
-  local stream, pieces = {}, {}
-  for i = 1, 40 do stream[i] = generator.frame(5, ("%032d"):format(i)) end
-  stream = table.concat(stream)
-  for at = 1, #stream, 64 do pieces[#pieces + 1] = stream:sub(at, at + 63) end
-  local before, self = kilobytes(), new()
-  local function packet(number) return packet_of { number, pieces[(number - 1) % #pieces + 1] } end
-  for i = 1, 200 * #pieces do self:add(packet(i), true) end
-  lu.assertTrue((kilobytes() - before) * 1024 / (200 * #pieces) < 1500) -- bytes a packet
-  for _, number in ipairs { 2, 3002, 1502, 5999 } do
-    local expected = ("good 5 in %d,%d"):format(number - 1, number)
-    lu.assertEquals(in_words(self:find(packet(number)), packet(number).bytes):sub(1, #expected), expected)
-  end
-end
-
 -- A gap holds no more than what a sender may send ahead.
 function T.test_a_gap_holds_little()
   local before, self, most = kilobytes(), new(), 0

@@ -235,22 +235,4 @@ function T.test_several_controllers_always_show()
   end
 end
 
--- Half of what is sent is lost; one sends a tenth as often; they have Health; there are no times.
-function T.test_several_controllers_under_worse_conditions()
-  local function pair(with, other)
-    local controllers = { { duration = 30, uptime = 100 }, { duration = 30, uptime = 7.2 } }
-    for i, more in ipairs { with, other or with } do
-      for name, value in pairs(more) do controllers[i][name] = value end
-    end
-    return controllers
-  end
-  for seed = 1, levels.size(5, 40) do
-    lu.assertTrue(fly(seed, pair { loss = 0.5 }, {}))
-    lu.assertTrue(fly(seed, pair({}, { period = 1 }), {}))
-    lu.assertTrue(fly(seed, pair { period = 0.5 }, { kind = HEALTH }))
-    lu.assertTrue(fly(seed, pair({}, { life = 3 }), {}))
-    lu.assertTrue(fly(seed, pair {}, { options = { lacks_times = true } }))
-  end
-end
-
 return T

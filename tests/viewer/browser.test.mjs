@@ -1,36 +1,28 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The page in Chromium, as a server gives it and from a disk: what a user does, and that nothing leaves it.
-// CHROMIUM, FIREFOX: other browsers.  Needs make viewer.  Without Firefox its test is skipped.
+// CHROMIUM: another browser.  Needs make viewer.
 import assert from "node:assert/strict";
-import { execFileSync, spawn, spawnSync } from "node:child_process";
-import { cpSync, existsSync, mkdtempSync, readdirSync, readFileSync, truncateSync, writeFileSync } from "node:fs";
-import { createServer } from "node:http";
+import { execFileSync } from "node:child_process";
+import { cpSync, mkdtempSync, readdirSync, readFileSync, truncateSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
-import { basename, extname, join } from "node:path";
+import { basename, join } from "node:path";
 import { after, before, test } from "node:test";
 import { pathToFileURL } from "node:url";
 import { chromium } from "../../web/node_modules/playwright-core/index.mjs";
 import { offline, TOP } from "../../tools/viewer.mjs";
 import { proposals } from "../../web/statistics.js";
-import { serve, stop, TYPES } from "./server.mjs";
+import { serve, stop } from "./server.mjs";
 
 const DISK = pathToFileURL(join(TOP, "dist/viewer-offline/index.html")).href;
 const scratch = mkdtempSync(join(tmpdir(), "viewer-"));
-const browsers = [];
 let browser, http;
-
-async function launch(...args) {
-  const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium";
-  browsers.push(await chromium.launch({ executablePath, args: ["--no-sandbox", ...args] }));
-  return browsers.at(-1);
-}
 
 before(async () => {
   http = (await serve(join(TOP, "dist/viewer"))).url;
-  browser = await launch();
+  browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ["--no-sandbox"] });
 });
 
-after(async () => { await Promise.all(browsers.map((one) => one.close())); stop(); });
+after(async () => { await browser.close(); stop(); });
 
 // A page at a link, when it is ready; page.asked has the hosts that it asked for something.
 // context: of a browser, whose cookies and caches the page has; without it the page has none
@@ -123,29 +115,6 @@ test("page and worker can reach nobody", async () => {
   assert.deepEqual(reached, ["refused", true, true]);
   assert.ok(page.wrong.some((text) => /Content Security Policy/.test(text)), "the worker's, too");
   await page.close();
-});
-
-test("a proxy sees the page's own files asked for, and nothing sent", async () => {
-  const proxy = await serve(join(TOP, "dist/viewer"));
-  const watched = await launch(`--proxy-server=${new URL(proxy.url).host}`, "--proxy-bypass-list=<-loopback>");
-  const page = await visit("http://localhost:8080/", null, await watched.newContext());
-  await page.evaluate(async () => { await navigator.serviceWorker.ready; });
-  await page.setInputFiles("#file", join(TOP, "docs/flight.pcapng"));
-  await status(page, "1,483 of 1,483");
-  await filter(page, "taurus.motor");
-  for (const name of ["Faults", "Events", "Summary", "Compare", "Check"]) {
-    await page.click(`#statistics button:has-text("${name}")`);
-    await page.waitForSelector(`#answer h2:has-text("${name.toLowerCase()}: "):not(:has-text("..."))`);
-  }
-  await page.click("#next");
-  await page.waitForSelector(".row.chosen");
-  await watched.close(); // what it had in mind to send is sent
-  const names = readdirSync(join(TOP, "dist/viewer")), allowed = ["", ...names].map((name) => `GET http://localhost:8080/${name}, 0 bytes`);
-  // Chromium itself asks its maker for updates, and how to fill in the fields of any page.
-  const isOfChromium = (one) => /^[A-Z]+ (http:\/\/)?[\w.-]+\.google(apis)?\.com[:/]/.test(one);
-  const asked = proxy.asked.filter((one) => !isOfChromium(one)).map((one) => one.replace(/\?[^,]*/, ""));
-  assert.ok(asked.includes("GET http://localhost:8080/wiregasm.wasm.gzip, 0 bytes"), "the proxy is used");
-  assert.deepEqual(asked.filter((one) => !allowed.includes(one)), []);
 });
 
 test("preferences start Wireshark anew; Cancel leaves a page that works", async () => {
@@ -297,36 +266,4 @@ test("the gate's report opens the capture at the rule that failed", async () => 
     assert.ok(basename(await page.title()).startsWith("my_flight.pcapng"));
     await page.close();
   }
-});
-
-// Firefox without a driver: the server adds a script to the page, which reports what the page shows.
-const firefox = [process.env.FIREFOX, "firefox-esr", "firefox"].find((name) => name && spawnSync(name, ["--version"]).status === 0);
-test("Firefox opens a capture, filters and lists it", { skip: firefox ? false : "Firefox is not installed" }, async () => {
-  const probe = `setInterval(() => {
-    const [row] = document.querySelectorAll(".row"), status = document.getElementById("status").textContent;
-    if (row && / of /.test(status)) fetch("report", { method: "POST", body: status + " " + row.textContent });
-  }, 500);`;
-  let child;
-  const said = await new Promise((resolve, reject) => {
-    const own = createServer((request, response) => {
-      const { pathname } = new URL(request.url, "http://x");
-      if (pathname === "/report") {
-        request.setEncoding("utf8").on("data", (text) => { if (text.startsWith("15 of")) resolve(text); });
-        return response.end();
-      }
-      const path = join(TOP, "dist/viewer", pathname === "/" ? "index.html" : pathname);
-      if (pathname !== "/probe.js" && !existsSync(path)) return response.writeHead(404).end();
-      const content = pathname === "/probe.js" ? probe : readFileSync(path);
-      response.writeHead(200, { "Content-Type": TYPES[extname(path)] ?? "application/octet-stream" });
-      response.end(pathname === "/" ? `${content}<script src="probe.js"></script>` : content);
-    }).listen(0, "127.0.0.1", () => {
-      const link = `http://127.0.0.1:${own.address().port}/#file=flight.pcapng&filter=taurus.fault.active`;
-      child = spawn(firefox, ["--headless", "--no-remote", "--profile", mkdtempSync(join(tmpdir(), "firefox-")), link],
-        { stdio: "ignore" });
-      child.on("error", reject);
-    });
-    setTimeout(() => reject(new Error("Firefox showed no list in two minutes")), 120000).unref();
-    after(() => own.close());
-  }).finally(() => child?.kill());
-  assert.match(said, /^15 of 1,483 frames 719.*motor_overcurrent/);
 });
