@@ -147,14 +147,15 @@ M.COLUMNS = output.columns({
 local Buses = {}
 Buses.__index = Buses
 
+-- The row of a bus, whose other columns complete_row fills in.
 local function new_bus(source)
   return {
-    source = source,
+    bus = source.bus,
     frames = 0,
     yapp = 0,
-    errors = memo(function() return 0 end), -- by name of the gravest report: number of error frames
-    first = nil, -- when its frames came
-    last = nil,
+    counts = memo(function() return 0 end), -- of error frames, by name of the gravest report
+    begin = nil, -- when its frames came
+    latest = nil,
     bits = 0, -- of all frames
     recent = {}, -- frames of the last second: [number] = { time, bits }
     oldest = 1, -- number of the oldest of them
@@ -175,9 +176,9 @@ end
 --- Add an event, see stat.answer.
 function Buses:add_event(event)
   if event.kind ~= "bus_errors" then return end
-  local errors, gravest = self.by_source[event.source].errors, event.values.reports[1]
+  local counts, gravest = self.by_source[event.source].counts, event.values.reports[1]
   local name = gravest and gravest.name or "bus"
-  errors[name] = errors[name] + 1
+  counts[name] = counts[name] + 1
 end
 
 --- Add a data or remote frame.
@@ -186,7 +187,7 @@ end
 function Buses:add_frame(source, time, packet)
   local bus, bits = self.by_source[source], bits_of(packet)
   local recent = bus.recent
-  bus.frames, bus.first, bus.last = bus.frames + 1, bus.first or time, time
+  bus.frames, bus.begin, bus.latest = bus.frames + 1, bus.begin or time, time
   recent[bus.frames] = { time = time, bits = bits }
   bus.bits, bus.recent_bits = bus.bits + bits, bus.recent_bits + bits
   while time - recent[bus.oldest].time >= 1 do
@@ -207,32 +208,25 @@ local function share(self, bits, seconds)
   return value and { value = value, text = ("%.1f %%"):format(100 * value) } or nil
 end
 
-local function row_of(self, bus, ending)
+local function complete_row(self, bus, ending)
   local texts, length = {}, 0
   for _, name in ipairs(NAMES) do
-    local count = bus.errors[name]
+    local count = bus.counts[name]
     if count > 0 then texts[#texts + 1] = count .. " " .. name end
   end
-  if bus.first and not ending.lacks_times then length = span(bus.first, bus.last) end
-  return {
-    bus = bus.source.bus,
-    frames = bus.frames,
-    rate = length > 0 and (bus.frames - 1) / length or nil,
-    yapp = bus.yapp,
-    others = bus.frames - bus.yapp,
-    errors = { json = output.object(NAMES, bus.errors).json, text = table.concat(texts, ", ") },
-    first = output.seconds(bus.first),
-    last = output.seconds(bus.last),
-    load = share(self, bus.bits, length),
-    load_max = share(self, bus.max_bits, math.min(length, 1)),
-  }
+  bus.errors = { json = output.object(NAMES, bus.counts).json, text = table.concat(texts, ", ") }
+  if bus.begin and not ending.lacks_times then length = span(bus.begin, bus.latest) end
+  bus.rate = length > 0 and (bus.frames - 1) / length or nil
+  bus.others = bus.frames - bus.yapp
+  bus.first, bus.last = output.seconds(bus.begin), output.seconds(bus.latest)
+  bus.load = share(self, bus.bits, length)
+  bus.load_max = share(self, bus.max_bits, math.min(length, 1))
 end
 
 --- Return the row of each bus.
 function Buses:rows(ending)
-  local rows = {}
-  for i, bus in ipairs(self.list) do rows[i] = row_of(self, bus, ending) end
-  return rows
+  for _, bus in ipairs(self.list) do complete_row(self, bus, ending) end
+  return self.list
 end
 
 --- End, see stat.answer.

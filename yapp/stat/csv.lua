@@ -49,10 +49,11 @@ end
 
 -- Begin the table of a message.
 local function begin(self, message_type, file)
-  local names = {}
+  local names, row = {}, { file = file.path, rows = 0, to = file }
   for i, column in ipairs(columns_of(self, message_type)) do names[i] = column.name end
   file:write(table.concat(names, ",") .. "\n")
-  self.tables[message_type] = { file = file, rows = 0 }
+  self.tables[message_type] = row
+  table.insert(self.list, row)
 end
 
 -- Create a file in the folder.  Overwrite one only with the option replace.  Raise why it cannot be
@@ -76,7 +77,8 @@ function M.new(options, context)
     options = options,
     context = context,
     files = {}, -- fields.json, then the tables
-    tables = {}, -- by message: { file, rows = how many it has }
+    list = {}, -- of tables, as rows of COLUMNS, to = the file; tables = the same by message
+    tables = {},
     parts = memo(parts_of), -- by source: a twentieth of the time
   }, Csv)
   if options.chosen then
@@ -96,28 +98,24 @@ end
 --- Add the row of an event, see stat.answer.
 function Csv:add_event(event)
   local all, source, is_good = self.options.all, event.source, event.kind == "message"
-  local to = event.raws and (is_good or all and event.kind == "crc") and self.tables[source.type]
-  if not to then return end
+  local row = event.raws and (is_good or all and event.kind == "crc") and self.tables[source.type]
+  if not row then return end
   local time, parts = self.context.dates:text(event.time), self.parts[source]
   local crc_good = all and (is_good and "1," or "0,") or ""
-  to.file:write(("%s,%d,%s,%d,%s%s\n"):format(
+  row.to:write(("%s,%d,%s,%d,%s%s\n"):format(
     time, event.frame, parts.cells, event.seq, crc_good, parts.write(event.raws)))
-  to.rows = to.rows + 1
+  row.rows = row.rows + 1
 end
 
 --- End, see stat.answer.  A file that could not be written is EXIT_UNDECIDED.
 function Csv:finish(_, notes)
-  local options, context, rows = self.options, self.context, {}
+  local options, context, list = self.options, self.context, self.list
   if options.chosen then return end
   local function list_of(message_type) return columns_of(self, message_type) end
   self.files[1]:write(inventory.describe(context.settings, list_of, options.statistics) .. "\n")
   local problem = output.close_files(self.files)
   if problem then return output.EXIT_UNDECIDED, "csv: " .. problem end
-  for i, message_type in ipairs(context.settings.catalogue.messages) do
-    local written = self.tables[message_type]
-    rows[i] = { file = written.file.path, rows = written.rows }
-  end
-  output.print(context, "YAPP csv: " .. output.count(#rows, "table"), M.COLUMNS, rows, notes)
+  output.print(context, "YAPP csv: " .. output.count(#list, "table"), M.COLUMNS, list, notes)
 end
 
 return M

@@ -147,7 +147,6 @@ end
 -- ask      the question of a menu; the answer follows the name
 -- file     the name of a new file that a menu suggests
 -- is_live  true if it shows packets while they come, in tshark alone
--- reads_frames  true if it reads all CAN frames, see stat.buses
 -- table_only  true if its output has no room for notes
 -- looks_for_faults  true if it must say which messages may hide a fault, as it does not list them
 local COMPARE = { new = summary.compare, COLUMNS = summary.COMPARED }
@@ -172,7 +171,6 @@ M.LIST = input.rows("name module title options help", {
     "CAN buses",
     "json, bitrate=BITS",
     "of each CAN bus: frames, error frames, load",
-    reads_frames = true,
   },
   {
     "csv",

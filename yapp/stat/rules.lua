@@ -265,8 +265,7 @@ end
 local function parse_test(message, text)
   local sign, name, value = text:match("^(!?)([^=]*)=?(.*)$")
   if value ~= "" then
-    local low, high = decimal(value), decimal(value)
-    if not low then low, high = within(value) end
+    local low, high = within(decimal(value) and value .. ".." .. value or value)
     return { field = find_field(message, sign .. name), low = low, high = high }
   end
   local flags, state = {}, sign == "" and 1 or 0
@@ -347,8 +346,15 @@ end
 function M.parse(text, options)
   text = text:gsub("%s+", " "):gsub(" ?= ?", "=")
   local name, limit, suffixes = text:match("^([^=]*)=?(%S*)(.*)$")
-  local rule = { text = text, name = name, limit = limit, source = options.source }
-  rule.tests, rule.after, rule.hold = {}, 0, 0
+  local rule = {
+    text = text,
+    name = name,
+    limit = limit,
+    source = options.source,
+    tests = {},
+    after = 0,
+    hold = 0,
+  }
   set_subject(rule, options)
   local kind = rule.kind
   rule.measure = kind.measure or kind.value and measure_values or of_kind[kind.name] or count_events

@@ -276,8 +276,9 @@ local function begin_statistic(self, text, context)
   if row.is_live and not context.frames then add_terminal(self, options, context) end
   context.json = options.json
   local statistic = row.new(options, context)
-  local buses = row.reads_frames and statistic or options.bitrate and statistic.buses
-  if buses then tap_frames(self, buses, filter) end
+  if options.bitrate or row.name == "buses" then
+    tap_frames(self, statistic.buses or statistic, filter)
+  end
   run:add(statistic, options)
 end
 

@@ -20,8 +20,8 @@ Undecoded.__index = Undecoded
 function M.new(settings)
   return setmetatable({
     settings = settings,
-    -- Messages that were not decoded at all: { source, size, likes = messages of this size or those
-    -- that a preference of IDs can decode, about = a text, values = of its events } each.
+    -- Messages that were not decoded at all, an entry for each source and size: { source, likes =
+    -- message types of this size, about = a text, values = of its events }.
     whole = {},
     parts = {}, -- the same of those whose first bytes were decoded
     by_source = memo(function() return {} end), -- by source, by size
@@ -50,9 +50,8 @@ local function new_entry(self, source, size, rest)
   local note = rest and ("the last %d not decoded, "):format(rest) or "not decoded, "
   return {
     source = source,
-    size = size,
     likes = likes,
-    about = about,
+    about = size .. " bytes, " .. about,
     values = { size = size, count = 0, note = note .. about, like = like and like.name },
   }
 end
@@ -134,20 +133,18 @@ end
 -- entries, which it sorts; nil if there are none.
 local function text_of(entries, what)
   if not entries[1] then return nil end
-  local shapes, texts, total = {}, {}, 0
-  local by_about = memo(function() return { names = {}, count = 0 } end, shapes)
+  local texts, list, total = {}, {}, 0
+  local by_about = memo(function(about) return { about = about, names = {}, count = 0 } end, list)
   output.sort(entries, function(entry) return entry.source.bus or "", entry.source.id end)
   for _, entry in ipairs(entries) do
-    local source, count = entry.source, entry.values.count
-    local shape = by_about[entry.size .. entry.about]
-    local is_same = shape.bus == source.bus
-    table.insert(shape.names, is_same and ("0x%x"):format(source.id) or output.bus_and_id(source))
-    shape.bus, shape.entry = source.bus, entry
-    shape.count, total = shape.count + count, total + count
+    local source, count, same = entry.source, entry.values.count, by_about[entry.about]
+    local is_on_bus = same.bus == source.bus -- which stands there, if there is one
+    table.insert(same.names, is_on_bus and ("0x%x"):format(source.id) or output.bus_and_id(source))
+    same.bus, same.count, total = source.bus, same.count + count, total + count
   end
-  for i, shape in ipairs(shapes) do
-    local form = shape.count > 1 and "%s (%d bytes each, %s)" or "%s (%d bytes, %s)"
-    texts[i] = form:format(table.concat(shape.names, ", "), shape.entry.size, shape.entry.about)
+  for i, same in ipairs(list) do
+    local about = same.count > 1 and same.about:gsub("bytes", "bytes each", 1) or same.about
+    texts[i] = ("%s (%s)"):format(table.concat(same.names, ", "), about)
   end
   return ("%s %s: %s"):format(output.were(total, "message"), what, table.concat(texts, "; "))
 end

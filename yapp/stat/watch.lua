@@ -16,7 +16,7 @@ local summary = require "yapp.stat.summary"
 
 local M = {}
 
-local CHARACTER = "[^\128-\191][\128-\191]*" -- of UTF-8
+local LAST_WIDE = "[\192-\255][\128-\191]*$" -- a last character beyond ASCII, maybe cut
 local CLEAR, RED, NORMAL = "\27[H\27[J", "\27[31m", "\27[m"
 local HAS_COLOR = (os.getenv("NO_COLOR") or "") == ""
 
@@ -152,11 +152,7 @@ local function print_tables(self, rows, failed, bus_rows, ending, pause)
   local terminal, lines = self.context.terminal, {}
   local width, height = terminal.size()
   local function add_line(text, is_red)
-    local count = 0
-    local line = text:gsub(CHARACTER, function()
-      count = count + 1
-      return count > width and "" or nil
-    end)
+    local line = #text > width and text:sub(1, width):gsub(LAST_WIDE, "") or text
     lines[#lines + 1] = is_red and HAS_COLOR and RED .. line .. NORMAL or line
   end
   local function add_table(columns, list)
@@ -174,10 +170,10 @@ local function print_tables(self, rows, failed, bus_rows, ending, pause)
   add_table(TABLE, rows)
   add_table(check.COLUMNS, failed)
   add_table(buses.COLUMNS, bus_rows)
-  local more = #lines - height + 1
-  if more > 0 then
-    for _ = 0, more do lines[#lines] = nil end
-    add_line(("... %d more lines: make the window higher"):format(more + 1))
+  local more = #lines - height + 2
+  if more > 1 then
+    for _ = 1, more do table.remove(lines) end
+    add_line(("... %d more lines: make the window higher"):format(more))
   end
   self.context.out((terminal.in_place() and CLEAR or "") .. table.concat(lines, "\n") .. "\n")
 end
