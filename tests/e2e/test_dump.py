@@ -298,39 +298,26 @@ def outcome(path, *arguments, plugin=True):
 
 @levels.by_version
 @levels.each_once
-@pytest.mark.parametrize("extension", ["", ".bin"])
+@pytest.mark.parametrize("extension", levels.few(["", ".bin", ".yapp"], [".bin", ".yapp"]))
 @pytest.mark.parametrize("name", levels.few([*NO_DUMPS, *WITH_FRAMES], [*NO_DUMPS, "pcapng", "other logger", "dump"]))
 def test_files_of_others(name, extension, folder):
-    """As if the plugin were not there."""
+    """As if the plugin were not there; the reason is told where the name or the user says that it is a dump."""
     path = dump(folder, {**NO_DUMPS, **WITH_FRAMES}[name], "file" + extension)
+    if extension == ".yapp":
+        if name in WITH_FRAMES:
+            return
+        done, errors = outcome(path, *AS_DUMP)
+        assert done[0] and not done[1] and SAID in errors
     done, errors = outcome(path)
-    assert SAID not in errors and "yapp_dump" not in errors
+    assert (SAID in errors) == (extension == ".yapp") and "yapp_dump" not in errors
+    if extension == ".yapp":
+        assert ("the file is empty" if name == "empty" else "no YAPP frame with a good CRC") in errors
     if name in OPENED:
         assert done[0] == 0 and "Motor Data" in done[1]
     else:
         assert done == outcome(path, plugin=False)[0]
         said = [line for line in errors.splitlines() if not line.startswith("Running as user")]
         assert done[1] or said or name == "empty" and done[0] == 0  # of which tshark says nothing
-
-
-@levels.by_version
-@levels.each_once
-@pytest.mark.parametrize("how", ["by its name", "as the user says"])
-@pytest.mark.parametrize("name", NO_DUMPS)
-def test_yapp_files_without_a_frame(name, how, folder):
-    """The reason is told, whether another reader takes the file or none."""
-    path = dump(folder, NO_DUMPS[name])
-    if how == "as the user says":
-        done, errors = outcome(path, *AS_DUMP)
-        assert done[0] and not done[1] and SAID in errors
-        return
-    done, errors = outcome(path)
-    assert SAID in errors
-    assert ("the file is empty" if name == "empty" else "no YAPP frame with a good CRC") in errors
-    if name in OPENED:
-        assert done[0] == 0 and "Motor Data" in done[1]
-    else:
-        assert done == outcome(path, plugin=False)[0]
 
 
 @levels.by_route
