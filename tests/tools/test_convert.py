@@ -111,7 +111,6 @@ def test_a_full_disk_is_a_sentence_and_leaves_no_half_file(make_capture, yapp_ta
     [
         (["none*.pcap", "--to", "csv", "--out", "data"], 2, "no file matches none*.pcap"),
         (["none.pcap", "--to", "csv", "--out", "data"], 1, "no such file"),
-        ([".", "--to", "csv", "--out", "data"], 1, "no file"),
         (["flight.pcap", "--to", "csv", "--out", "flight.pcap"], 2, "cannot be written"),
         (["flight.pcap", "--to", "xls", "--out", "data"], 2, "invalid choice"),
         (["flight.pcap", "--to", "csv", "--out", "data", "--plugin", "none.lua"], 2, "no plugin at"),

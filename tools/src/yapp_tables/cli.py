@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import logging
-import os
 import sys
 from collections.abc import Iterable, Sequence
 from importlib.abc import MetaPathFinder
@@ -36,7 +35,7 @@ EXAMPLES = {
     "check": ("", "|| yapp-tables install"),
     "uninstall": ("", "--purge"),
 }
-CAPTURES = "files, or patterns such as 'flights/**/*.pcapng'"
+CAPTURES = "files, folders, or patterns such as 'flights/**/*.pcapng'"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -187,9 +186,7 @@ def _case(given: argparse.Namespace) -> int:
 def _diff(given: argparse.Namespace) -> int:
     from . import diff  # its libraries take a while
 
-    sides = [sorted(filter(os.path.isfile, Path(side).iterdir())) if os.path.isdir(side) else side
-             for side in (given.before, given.after)]  # fmt: skip
-    before, after = map(find, sides)
+    before, after = find(given.before), find(given.after)
     found = diff.compare(before, after, _tshark(given), Path(given.rules) if given.rules else None)
     if given.junit:
         write_whole(Path(given.junit), diff.junit(found))

@@ -41,13 +41,13 @@ KINDS = {
 
 
 def find(patterns: StrPath | Iterable[StrPath]) -> list[Path]:
-    """Return the files that are meant, absolute, in order, each once; SetupError where a pattern finds none."""
+    """Return the files that are meant, absolute, in order, each once; of a folder those in it. Raises SetupError."""
     found: dict[Path, None] = {}
     for given in [patterns] if isinstance(patterns, str | os.PathLike) else patterns:
-        pattern = os.fspath(given)
+        pattern = os.path.join(given, "*") if os.path.isdir(given) else os.fspath(given)
         names = [pattern]
         if not os.path.exists(pattern) and glob.has_magic(pattern):
-            names = sorted(name for name in glob.glob(pattern, recursive=True) if os.path.isfile(name))
+            names = sorted(filter(os.path.isfile, glob.glob(pattern, recursive=True)))
             if not names:
                 raise SetupError(f"no file matches {pattern}")
         found |= dict.fromkeys(Path(os.path.abspath(name)) for name in names)

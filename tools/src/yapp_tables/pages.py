@@ -72,21 +72,16 @@ def pairs(rows: Sequence[tuple[str, tuple[float, float], tuple[float, float]]], 
     return f"<table>{''.join(lines)}</table>"
 
 
-def dots(values: Sequence[float], line: tuple[float, float] | None, label: str, is_sure: bool) -> str:
+def dots(values: Sequence[float], line: tuple[float, float], label: str, is_sure: bool) -> str:
     """Return a picture of values over flights, with a line from its first to its last value."""
-    ends = [*values, *(line or ())]
-    low, high = min(ends), max(ends)
-    span = (high - low) or 1.0
+    low, high = min(*values, *line), max(*values, *line)
 
     def place(at: float, value: float) -> tuple[str, str]:
-        return f"{4 + 252 * at / max(len(values) - 1, 1):.1f}", f"{64 - 58 * (value - low) / span:.1f}"
+        return f"{4 + 252 * at / (len(values) - 1):.1f}", f"{64 - 58 * (value - low) / ((high - low) or 1.0):.1f}"
 
-    shapes = ""
-    for at, value in enumerate(values):
-        x, y = place(at, value)
-        shapes += f"<circle class=dot cx={x} cy={y} r=1.8 />"
-    if line:
-        (x, y), (to_x, to_y) = place(0, line[0]), place(len(values) - 1, line[1])
-        shapes += f"<line class={'sure' if is_sure else 'line'} x1={x} y1={y} x2={to_x} y2={to_y} />"
+    places = [place(at, value) for at, value in enumerate(values)]
+    (x, y), (to_x, to_y) = place(0, line[0]), place(len(values) - 1, line[1])
+    shapes = "".join(f"<circle class=dot cx={across} cy={down} r=1.8 />" for across, down in places)
+    shapes += f"<line class={'sure' if is_sure else 'line'} x1={x} y1={y} x2={to_x} y2={to_y} />"
     about = html.escape(label)
     return f"<svg viewBox='0 0 260 70' role=img aria-label='{about}'><title>{about}</title>{shapes}</svg>"

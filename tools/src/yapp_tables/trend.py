@@ -12,8 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from tqdm import tqdm
 
@@ -86,7 +84,14 @@ def drifts(data: Path) -> Trend:
         values[key] = _beyond(own_rows)
     _less_others(values)
     told = {key: each for key, each in values.items() if len(each) >= LEAST_FLIGHTS}
-    drifting = [_drift(key, each, CHANCE / len(told)) for key, each in told.items()]
+    drifting = []
+    for (who, title, unit, least), each in told.items():
+        numbers, line = np.arange(len(each), dtype=float), np.array([value for _, value in each])
+        per_flight, low, high = slope(numbers, line)
+        _, sure_low, sure_high = slope(numbers, line, CHANCE / len(told))
+        is_sure = not sure_low <= 0 <= sure_high and abs(per_flight) * (len(line) - 1) >= LEAST[least]
+        names = [name for name, _ in each]
+        drifting.append(Drift(who, title, unit, names, line, per_flight, low, high, is_sure))
     few = {key[0] for key in values} - {key[0] for key in told}
     notes = [f"{who}: fewer than {LEAST_FLIGHTS} comparable flights, no trend" for who in sorted(few)]
     if not values:
@@ -96,23 +101,21 @@ def drifts(data: Path) -> Trend:
 
 def _flights(data: Path) -> Iterator[tuple[str, dict[tuple[str, str], Samples], list[Record]]]:
     """Yield name, messages and summary of one flight after the other, in the order of time."""
-    folders = {path.name.removeprefix("message="): path for path in sorted(data.glob("message=*")) if path.is_dir()}
-    if "flights" not in folders:
+    flights = []
+    for path in data.glob("message=flights/*.parquet"):
+        row = pq.read_table(path, partitioning=None)
+        version = said(row.schema.metadata).get("schema", "")
+        if version != str(SCHEMA):
+            raise SetupError(f"{data} has version {version} of the tables, not {SCHEMA}: convert the captures again")
+        flights.append((row["start"].cast(pa.int64())[0].as_py() or 0, row["source_file"][0].as_py(), path.name))
+    if not flights:
         again = f"yapp-tables convert CAPTURES --to parquet --out {data}"
         raise SetupError(f"{data} is no data set of Parquet files: {again}")
-    # As the first file has it: metadata, and columns that each flight has.
-    tables = {name: ds.dataset(path, pq.read_schema(next(path.rglob("*.parquet")))) for name, path in folders.items()}
-    version = said(tables["flights"].schema.metadata).get("schema", "")
-    if version != str(SCHEMA):
-        raise SetupError(f"{data} has version {version} of the tables, not {SCHEMA}: convert the captures again")
-    whole = tables["flights"].to_table(columns=["flight_id", "source_file", "start"]).sort_by("start")
-    starts = pc.fill_null(whole["start"].cast(pa.int64()), 0).to_pylist()
-    flights = list(zip(whole["flight_id"].to_pylist(), whole["source_file"].to_pylist(), starts, strict=True))
-    for flight, name, start in tqdm(flights, unit="flight", disable=None):
-        is_its = pc.field("flight_id") == flight
-        own = {message: table.to_table(filter=is_its) for message, table in tables.items() if is_message(table)}
-        messages = {message: rows for message, rows in own.items() if len(rows)}
-        yield name, samples(messages, start=start), tables["summary"].to_table(filter=is_its).to_pylist()
+    for start, name, file in tqdm(sorted(flights), unit="flight", disable=None):
+        paths = [folder / file for folder in data.glob("message=*") if (folder / file).is_file()]
+        tables = {path.parent.name.removeprefix("message="): pq.read_table(path, partitioning=None) for path in paths}
+        messages = {message: rows for message, rows in tables.items() if is_message(rows) and len(rows)}
+        yield name, samples(messages, start=start), tables["summary"].to_pylist()
 
 
 def _at_load(one: Samples, load: Load) -> Iterator[tuple[Key, Array, Array]]:
@@ -194,16 +197,6 @@ def _less_others(values: dict[Key, list[tuple[str, float]]]) -> None:
             if key[3] == "A":
                 all_ = {name: float(np.median([rows[name] for rows in peers if name in rows])) for name in own}
                 values["all controllers", *key[1:]] = list(all_.items())
-
-
-def _drift(key: Key, rows: Sequence[tuple[str, float]], chance: float) -> Drift:
-    who, title, unit, least = key
-    values = np.array([value for _, value in rows])
-    numbers = np.arange(len(values), dtype=float)
-    each, low, high = slope(numbers, values)
-    _, sure_low, sure_high = slope(numbers, values, chance)
-    is_sure = not sure_low <= 0 <= sure_high and abs(each) * (len(values) - 1) >= LEAST[least]
-    return Drift(who, title, unit, [name for name, _ in rows], values, each, low, high, is_sure)
 
 
 def lines(found: Trend) -> Iterator[str]:

@@ -211,8 +211,7 @@ def _run(command: list[str], folder: Path | None = None) -> subprocess.Completed
 def check_file(capture: Path) -> None:
     """Raise CaptureError where there is no file that can be read."""
     if not capture.is_file():
-        what = "no file: 'FOLDER/**/*.pcapng' takes those in it" if capture.is_dir() else "no such file"
-        raise CaptureError(f"{capture}: {what}")
+        raise CaptureError(f"{capture}: no such file")
     if not os.access(capture, os.R_OK):
         raise CaptureError(f"{capture} cannot be read: permission denied")
 
