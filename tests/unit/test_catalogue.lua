@@ -104,7 +104,7 @@ function T.test_values_for_columns()
   lu.assertEquals(problems, {})
   local found = {}
   for i, one in ipairs(compiled.messages[1].rounded) do
-    found[i] = one.filter .. " " .. one.shape .. " " .. one.field.name
+    found[i] = one.filter .. " " .. one.field.rounded .. " " .. one.field.name
   end
   lu.assertEquals(found, { "taurus.m.v.rounded %.2f v", "taurus.m.t.rounded %.0f t", "taurus.m.w.rounded %.2f w",
     "taurus.m.power.rounded %.0f power" })

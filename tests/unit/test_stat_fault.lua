@@ -90,7 +90,7 @@ function T.test_a_card()
   lu.assertNil(code)
   lu.assertStrMatches(text, "YAPP fault: 1 of 1\na note\n\n.* 104  can0  0x211 .* 0.700\n.*")
   has(text, "0.000  hot    why\n", "0.700  stall  why\n",
-    "-0.210 100 motor volts 10.5 40 V 3.80952\n",
+    "-0.210 100 motor volts 10.50 40.00 V 3.81\n",
     "motor state slow 0 1\n", "unchanged  Enabled\n", "-9.400      2  can0 0x1  unchanged",
     "-0.100    103  left    FAULT stall  NaN V\n",
     "-0.500    500  left    missing  messages missing by Seq No: 2\n",
@@ -120,7 +120,7 @@ function T.test_a_reserved_value_and_the_command_of_the_bus()
   one.flag(one.send(LEFT, 10, 255, 1, 0), "raised", "hot", {})
   local text = one.finish()
   has(text, "-6.000      5  command  enabled     1    0\n" ..
-    "-0.110    104  motor    volts    10.5  inf  V", "-6.000      5  can0 0x5  Disabled\n")
+    "-0.110    104  motor    volts    10.50  inf  V", "-6.000      5  can0 0x5  Disabled\n")
 end
 
 function T.test_which_fault()

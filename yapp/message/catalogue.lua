@@ -11,13 +11,14 @@
 --   flag_fields (its fields of flags), alarms (those with a fault flag)
 --   generated: a list of the values that are worked out from two fields: { name, title, filter,
 --   unit, kind = "derived", shape, operator ("*", "-", "+"), a and b (the fields), is_difference }
---   rounded: a list of the values for columns, { filter, field (or one of generated), shape }
+--   rounded: a list of the values for columns, { filter, field (or one of generated) }
 --   filters: a list of { filter, type, title, description, base, values, mask }, see show.fields
 --   states: the filters of its state, { [its name in message.history] = filter }
 --   read (see message.decode), info and, beside columns, info_rest (see message.text)
 -- A field has name, title, filter, filters (a list of it and those below it), index (in fields),
 -- offset, size in bytes, type, unit or nil, shape (a format with as many digits as its
--- count can carry; nil for integers), and kind, with the values that its kind needs:
+-- count can carry; nil for integers), rounded (a format with as many as people read, or nil), and
+-- kind, with the values that its kind needs:
 --   uint, int  bottom, top (lowest and highest count); values, invalid (its expert item)
 --   scaled     the same, and scale, zero: value = count * scale + zero
 --   flags      flags { name, mask, title, filter, help or nil }, group, undefined (mask: bits that

@@ -81,12 +81,12 @@ end
 local function add_rounded(message_type, item, add)
   local digits = DIGITS[item.unit]
   if not digits or not item.shape then return end
+  item.rounded = ("%%.%df"):format(digits)
   table.insert(message_type.rounded, {
     filter = add(item.filter .. ".rounded", "DOUBLE", item.title,
       ("%s of %s, rounded for a column: not among a packet's details")
         :format(item.title, message_type.title)),
     field = item,
-    shape = ("%%.%df"):format(digits),
   })
 end
 

@@ -145,7 +145,7 @@ local function list_values(self, message_type, tree)
     append(item.filter, item, item.shape, item.unit)
   end
   for _, row in ipairs(tree.visible and NONE or message_type.rounded) do
-    append(row.filter, row.field, row.shape)
+    append(row.filter, row.field, row.field.rounded)
   end
   return list
 end

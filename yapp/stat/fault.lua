@@ -211,6 +211,11 @@ local function values_of(messages, field, flag)
   return values
 end
 
+-- Return a number as people read it.
+local function shown(value, shape)
+  return shape and { value = value, text = shape:format(value) } or value
+end
+
 -- Append the row of the change of a field, or of one of its flags, if there is one.
 -- messages  events of its source up to the fault
 -- find      function(values, field) -> index, usual value, and of a number the usual spread
@@ -218,15 +223,16 @@ local function add_change(rows, card, messages, field, find, flag)
   local values = values_of(messages, field, flag)
   local index, from, spread = find(values, field)
   if not index then return end
-  local event, to = messages[index], values[index]
+  local event, to, is_beside_0 = messages[index], values[index], true
+  if spread then is_beside_0 = abs(from) <= FACTOR * spread end
   insert(rows, new_row(card, event, {
     message = event.source.type.name,
     field = field.name,
     flag = flag and flag.name,
     unit = field.unit,
-    from = from,
-    to = to,
-    times = spread and abs(from) > FACTOR * spread and to / from or nil, -- not beside 0
+    from = shown(from, field.rounded),
+    to = shown(to, field.rounded),
+    times = not is_beside_0 and shown(to / from, "%.2f") or nil,
     at_fault = values[#values],
     -- Of the changes in one message, the largest comes first.
     size = spread and abs(to - from) / spread or 0,
