@@ -191,6 +191,8 @@ def test_buses_of_captures_of_others():
         assert {what: count for what, count in row["errors"].items() if count} == errors and row["load"] is None
     text = tshark.run("-r", CASES / "bus_off.log", "-q", "-z", "yapp,buses,filter=frame.number > 111").stdout
     assert "can0     130  " in text and "1 off, 1 restarted" in text
+    done = tshark.run("-r", CASES / "bus_off.log", "-q", "-z", "yapp,check,bus_off=0,filter=yapp.id == 0x210", check=False)
+    assert done.returncode == 20  # a filter of messages hides no bus off
 
 
 def test_asc(folder):

@@ -92,10 +92,13 @@ function Answer:count(event)
   self.statistic:add_event(event)
 end
 
---- Count an event of a source, if the filter lets it count.
+--- Count an event of a bus, or of a source, if the filter lets it count.
 function Answer:add(event)
   local matched, kind = self.matched, event.kind
-  if matched and not matched[event.frame] then return end
+  if matched and not matched[event.frame] then
+    local row = kinds.BY_NAME[kind]
+    if not (row and row.scope == "capture") then return end
+  end
   self.came[event.source] = true
   if kind == "message" then add_message(self, event) end
   if kind == "copies" then add_copy(self, event) end
