@@ -25,7 +25,6 @@ local NEAR = 1 -- seconds
 -- scope       "capture": one verdict for the whole capture; "rare": one for each source that has
 --             such events; nil: one for each source that can have them
 -- about       key that the message type of a source must have; nil for any source with an ID
--- needs_past  true if it can be judged only with a good message and a reliable history
 -- needs_time  true if it can be judged only if packets have time stamps
 -- can_mend    true if more packets may mend a rule that failed
 M.LIST = input.rows("name text", {
@@ -34,7 +33,6 @@ M.LIST = input.rows("name text", {
     "{flag} {event}{after}",
     keys = "field flag event active",
     about = "alarms",
-    needs_past = true,
   },
   { "crc", "bad CRC", hides = "with a bad CRC" },
   { "incomplete", "{what}", keys = "what", hides = "incomplete" },
@@ -51,21 +49,18 @@ M.LIST = input.rows("name text", {
     amount = "count",
     change = "count",
     hides = "missing by Seq No",
-    needs_past = true,
   },
   {
     "reboot",
     "controller rebooted (its clock went back by {length} s)",
     change = "length",
     about = "time",
-    needs_past = true,
   },
   {
     "stale",
     "controller clock did not advance",
     change = "stale",
     about = "time",
-    needs_past = true,
     needs_time = true,
   },
   {
@@ -74,7 +69,6 @@ M.LIST = input.rows("name text", {
     keys = "length",
     change = "length",
     about = "time",
-    needs_past = true,
     needs_time = true,
   },
   {
@@ -82,14 +76,12 @@ M.LIST = input.rows("name text", {
     "two controllers appear to send this ID",
     change = "shared",
     about = "time",
-    needs_past = true,
   },
   {
     "silence",
     "silent for {length} s",
     keys = "length",
     about = "every",
-    needs_past = true,
     needs_time = true,
   },
   {
@@ -103,7 +95,6 @@ M.LIST = input.rows("name text", {
     "a Command disables {motors} while turning: {rest}",
     keys = "length",
     about = "enables",
-    needs_past = true,
     is_optional = true,
   },
   {
@@ -156,8 +147,9 @@ M.CHANGES = {}
 M.RULES = {}
 for _, row in ipairs(M.LIST) do
   row.is_count = true -- of its rule, see stat.rules
-  -- It can be judged only with a message that was decoded: silences need no values.
+  -- It can be judged only with a message that was decoded; with a reliable history.
   row.needs_values = row.about and row.about ~= "every"
+  row.needs_past = row.change or row.about and row.about ~= "fields"
   M.BY_NAME[row.name] = row
   if row.change then M.CHANGES[#M.CHANGES + 1] = row end
   if not row.counts_as then M.RULES[#M.RULES + 1] = row end

@@ -62,6 +62,7 @@ function M.new(options, context)
     what = options.what,
     context = context,
     list = {},
+    incidents = {}, -- set of the times in which a source had a fault, all flags together
     bus_events = {},
   }, Lists)
 end
@@ -72,6 +73,7 @@ function Lists:add_event(event)
   local kind = event.kind
   local row = kinds.BY_NAME[kind]
   if kind == "bus" then table.insert(self.bus_events, event) end
+  if kind == "fault" then self.incidents[event.values.incident] = true end
   local is_listed = self.what == "events" and row and not row.is_counted_only
   if kind == "unknown" and event.values.count > 1 then return end
   if is_listed or kind == "fault" then self.list[#self.list + 1] = event end
@@ -98,16 +100,6 @@ function M.event_row(context, event, ending, near, keys)
   local function fill(key) return output.text(row[key], true) end
   row.details = kind.text:gsub("{(%w+)}", fill) .. (event.more or "")
   return output.row(event.source, row)
-end
-
--- Return how many times a source had faults: one for all flags that are set without a break.
-local function count_incidents(list)
-  local seen, count = {}, 0
-  for _, event in ipairs(list) do
-    local incident = event.values.incident
-    if not seen[incident] then seen[incident], count = true, count + 1 end
-  end
-  return count
 end
 
 --- Return a number of faults as a text: where sources were not decoded, none is known.
@@ -144,13 +136,15 @@ function Lists:finish(ending, notes)
     local is_sure = not (ending.lacks_times and kinds.BY_NAME[event.kind].needs_time)
     if is_sure then list[#list + 1] = event end
   end
-  local count = #list
+  local count = 0
   if what == "events" then
+    count = #list
     -- Events without a packet come last.
     output.sort(list, function(event) return event.frame or math.huge end)
     if context.frames and not context.json then list = merge(list) end
   else
-    count = M.count_text(count_incidents(list), ending)
+    for _ in pairs(self.incidents) do count = count + 1 end
+    count = M.count_text(count, ending)
     code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
   end
   local keys = what == "faults" and FAULT_KEYS

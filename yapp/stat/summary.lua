@@ -6,7 +6,6 @@
 -- incomplete ones are counted separately.
 
 local groups = require "yapp.stat.groups"
-local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 
@@ -137,16 +136,15 @@ end
 function M:finish(ending, notes)
   local rows, shown, context = {}, {}, self.context
   for i, group in ipairs(self:sort(not context.json)) do
-    for _, values in ipairs(context.json and kinds.NOTHING or group.values) do
-      local row = groups.row(group, values)
-      if row.min then insert(shown, row) end
-    end
     rows[i] = M.row(group, ending, context.frames and not context.json)
+    for _, values in ipairs(group.values) do
+      if values.count > 0 then insert(shown, groups.row(group, values)) end
+    end
   end
   local sources = output.count(#rows, "source")
   local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.last or 0)
   output.print(context, title, M.COLUMNS, rows, notes)
-  if shown[1] then
+  if shown[1] and not context.json then
     context.out("\n")
     output.table(context, VALUES, shown)
   end
