@@ -92,12 +92,12 @@ function Answer:count(event)
   self.statistic:add_event(event)
 end
 
---- Count an event of a bus, or of a source, if the filter lets it count.
+--- Count an event of a source, if the filter lets it count.  Only stat.buses filters a bus event.
 function Answer:add(event)
   local matched, kind = self.matched, event.kind
   if matched and not matched[event.frame] then
     local row = kinds.BY_NAME[kind]
-    if not (row and row.scope == "capture") then return end
+    if not (row and row.scope == "capture") or self.statistic.add_frame then return end
   end
   self.came[event.source] = true
   if kind == "message" then add_message(self, event) end
