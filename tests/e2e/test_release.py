@@ -97,9 +97,6 @@ def test_the_workflow_calls_it():
     assert text.count('run: tools/release.sh "$GITHUB_REF_NAME"') == 2 and " test\n" in text and 'tags: ["v*"]' in text
 
 
-# make ------------------------------------------------------------------------------------------------------------------
-
-
 WORKFLOWS = sorted((tshark.ROOT / ".github/workflows").glob("*.yml"))
 
 

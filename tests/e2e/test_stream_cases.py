@@ -169,9 +169,6 @@ def test_datagrams_of_others_in_a_conversation(passes):
     assert sum(counts.values()) == 24 and len(raised(events)) == 1 and "skipped" not in kinds(events)
 
 
-# Telnet ----------------------------------------------------------------------------------------------------------
-
-
 # Directions ------------------------------------------------------------------------------------------------------
 
 USER_DLT = ["-o", "yapp.user_dlt:147"]

@@ -80,9 +80,6 @@ def test_a_lua_error_in_a_dissector(folder, what):
     assert done.returncode == (20 if what == "check" else 21) and told(done, what, "the plugin failed")
 
 
-# Stamps ------------------------------------------------------------------------------------------------------------------
-
-
 # A ring of files ---------------------------------------------------------------------------------------------------------
 
 def capture(folder, ring, *arguments, ending="pcapng", path=RING):
