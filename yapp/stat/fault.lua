@@ -35,14 +35,10 @@ local MISSING = "there is no such fault: the capture has %d"
 -- The sections of a card: their name and title, the keys of a row in JSON, nil for its own, and the
 -- columns for people.
 local KEYS, COLUMNS = "since frame bus id source message values", "since frame who values"
+local CHANGE = "since frame message field flag from to unit times"
 local SECTIONS = input.rows("name title keys columns", {
   { "flags", "Flags", "since field flag help", "since flag help" },
-  {
-    "changes",
-    "Left its range of the ten seconds before",
-    "since frame message field flag from to unit times at_fault",
-    "since frame message field flag from to unit times",
-  },
+  { "changes", "Left its range of the ten seconds before", CHANGE, CHANGE },
   { "command", "The latest Command", KEYS, COLUMNS },
   { "others", "The other controllers", KEYS, COLUMNS },
   { "events", "Events within a second", nil, "since frame who kind details" },
@@ -233,7 +229,6 @@ local function add_change(rows, card, messages, field, find, flag)
     from = shown(from, field.rounded),
     to = shown(to, field.rounded),
     times = not is_beside_0 and shown(to / from, "%.2f") or nil,
-    at_fault = values[#values],
     -- Of the changes in one message, the largest comes first.
     size = spread and abs(to - from) / spread or 0,
   }))

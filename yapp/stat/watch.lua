@@ -184,8 +184,10 @@ local function print_state(self, ending, pause)
   local rows, bus_rows = rows_of(self, ending), self.buses:rows(ending)
   local rules, failed, has_failed = self.check:judge(ending), {}, false
   for _, row in ipairs(rules) do
-    if row.ok == check.FAILED then failed[#failed + 1] = row end
-    has_failed = has_failed or row.ok == check.FAILED and row.is_final
+    if row.ok == check.FAILED then
+      failed[#failed + 1] = row
+      has_failed = has_failed or row.is_final
+    end
   end
   if self.context.json then
     print_json(self, rows, rules, bus_rows, ending)
