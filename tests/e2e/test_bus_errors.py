@@ -36,9 +36,6 @@ def failed(path, *rules):
     return done.returncode, {row["rule"].split("=")[0]: row["seen"] for row in rows if row["ok"] is False}
 
 
-# Captures of others ------------------------------------------------------------------------------------------------------
-
-
 # Random error frames -----------------------------------------------------------------------------------------------------
 
 # Name: class, and the second data byte.

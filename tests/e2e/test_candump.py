@@ -116,17 +116,6 @@ def test_ids_in_a_plain_log(folder):
     assert shown == [["0x5a"], [""], [""], [""]]
 
 
-@pytest.mark.parametrize("line", ["  can0  08404000   [8]  00`00`00`20`C7`6F`BE`BB   `... .o..`",
-                                  "  can0  123   [2]  00000001 11111110", "  can0  123   {E}  00 11 22 33 44 55 66 77"],
-                         ids=["-S", "-i", "-8"])
-def test_forms_that_do_not_open(folder, line):
-    """candump -S, -i and -8: Wireshark says that the file is none that it knows."""
-    path = folder / "run.txt"
-    path.write_text(f"{line}\n" * 5)
-    done = tshark.run("-r", path, check=False)
-    assert done.returncode and "isn't a capture file" in done.stderr
-
-
 def log_text(count, buses):
     lines = [f"(17000{i // 1000:05d}.{i % 1000:06d}) can{buses(i)} 123#{i:08X}\n" for i in range(count)]
     return "".join(lines)

@@ -32,11 +32,6 @@ local function times(frames)
   return list
 end
 
-function T.test_times_since_the_first_stay()
-  local frames = frames_of(screen({ "000.000000", "000.500000", "001.700000" }))
-  lu.assertEquals(times(frames), { "0.000000000", "0.500000000", "1.700000000" })
-end
-
 function T.test_deltas_are_added_up()
   local frames = frames_of(screen({ "000.000000", "000.900000", "000.200000", "000.000100", "002.000000" }))
   lu.assertEquals(times(frames),

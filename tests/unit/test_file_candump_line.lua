@@ -93,12 +93,6 @@ function T.test_lines_without_a_frame()
   end
 end
 
-function T.test_local_time_with_date()
-  local record = LOG:parse(" (2023-11-14 22:13:20.000001)  can0  123   [1]  11")
-  lu.assertEquals(os.date("%Y-%m-%d %H:%M:%S", record.seconds), "2023-11-14 22:13:20")
-  lu.assertEquals(record.nanoseconds, 1000)
-end
-
 -- What a pattern might try again and again makes no line slow: at 4,000 characters one that is tried
 -- from each of them, and to the end, takes 10 ms and more, others at most 0.6 ms.
 function T.test_no_line_is_slow()
@@ -112,18 +106,6 @@ function T.test_no_line_is_slow()
       end
     end
   end
-end
-
-function T.test_packet()
-  local record = LOG:parse("(1.000000) can0 08404000#BBBE6FC720000000 T")
-  lu.assertEquals(text.packet(258, record), bytes("000C 0000 00000102 0118 04 00 0000000000000000" ..
-    "00404088 08 00 00 00 BBBE6FC720000000"))
-end
-
-function T.test_packet_of_can_fd()
-  local record = LOG:parse("(1.000000) can3 123##5AABB R")
-  lu.assertEquals(text.packet(3, record), bytes("000D 0000 00000003 0118 00 00 0000000000000000" ..
-    "23010000 02 05 00 00 AABB"))
 end
 
 -- A seeded generator, the same in every Lua.
@@ -149,36 +131,6 @@ function T.test_damaged_lines_never_fail()
         local is_remote = record.id % 0x80000000 >= text.REMOTE
         lu.assertEquals(#text.packet(0, record), 28 + (is_remote and 0 or #record.data), line)
       end
-    end
-  end
-end
-
--- Some converters write CAN FD behind one "#": a length that only CAN FD has says so.  Its lengths are multiples of 4.
-function T.test_lengths_of_can_fd_behind_one_mark()
-  for length = 9, 64 do
-    local record = LOG:parse("(1.000000) can0 08400000#" .. ("1F"):rep(length))
-    lu.assertEquals(record and record.fd and #record.data or nil, length % 4 == 0 and length or nil, length)
-  end
-end
-
--- Frames of every form come back with their bytes, written as candump's lib.c writes them.
-function T.test_written_frames_come_back()
-  local random = random_source(7)
-  for _ = 1, 500 do
-    local fd, hex, log = random(2) == 1, {}, {}
-    local sizes = fd and { 0, 1, 8, 12, 16, 20, 24, 32, 48, 64 } or { 0, 1, 2, 3, 4, 5, 6, 7, 8 }
-    local size, id = sizes[random(#sizes)], random(0x20000000) - 1
-    for i = 1, size do
-      hex[i] = string.format("%02X", random(256) - 1)
-      log[i] = hex[i]
-    end
-    local data = bytes(table.concat(hex))
-    local line = string.format("(1700000000.000001) can0 %08X#%s%s", id, fd and "#1" or "", table.concat(log))
-    local shown = string.format(" (1700000000.000001)  can0  %08X %s  %s", id,
-      fd and string.format(" [%02d]", size) or string.format("  [%d]", size), table.concat(hex, " "))
-    for _, form in ipairs { line, shown } do
-      local record = LOG:parse(form)
-      lu.assertEquals({ record.id, record.data, record.fd }, { id + 0x80000000, data, fd }, form)
     end
   end
 end

@@ -31,14 +31,6 @@ local function feeds(s, bytes, expected) lu.assertEquals(in_words(s:add(bytes)),
 
 local T = {}
 
-function T.test_document_example()
-  local hex = "5950000010020000200000 00FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000000" ..
-    "0E38CD23CE04E000005FFBBBE6FC7"
-  local bytes = require("support").bytes(hex)
-  local findings = new():add(bytes)
-  lu.assertEquals(findings, { { status = "good", from = 0, to = 48, bytes = bytes } })
-end
-
 -- The rules, read plainly ---------------------------------------------------------------------------
 
 -- What the 12 bytes of a header say, nil where they have not come.
