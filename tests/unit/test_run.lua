@@ -204,6 +204,9 @@ function T.test_exact_times()
   lu.assertEquals(time(86400.123456789), { 1700086401, 123456788 })
   lu.assertEquals(time(4194302.999999998), { 1704194303, 999999997 }) -- 48 days
   lu.assertEquals(time(-2), { 1699999998, 999999999 }) -- an earlier packet behind a later one
+  dates:set_first(-3, 366198000) -- before a trigger
+  lu.assertEquals({ dates:text(0), dates:text(2), dates:text(2.633802), dates:text(3) },
+    { "-2.633802000", "-0.633802000", "0.000000000", "0.366198000" })
 end
 
 function T.test_a_failure_comes_before_what_is_undecided()

@@ -30,7 +30,11 @@ end
 
 --- Return a time as a number with nine digits behind the point, a text.
 function Dates:text(rel)
-  return format("%d.%09d", self:exact(rel))
+  local seconds, nanoseconds = self:exact(rel)
+  if seconds < 0 and nanoseconds > 0 then -- -3 s and 400,000,000 ns are -2.6 s
+    return format("-%d.%09d", -1 - seconds, 1e9 - nanoseconds)
+  end
+  return format("%d.%09d", seconds, nanoseconds)
 end
 
 --- Return a time as a value of a row, see stat.output; people read it in UTC, to the microsecond.
