@@ -171,7 +171,10 @@ def compare(before: Sequence[Path], after: Sequence[Path], tshark: Tshark, rules
         found.notes += [f"{run.name}: {text}" for text in said]
     found.reason = _reason(found)
     if not found.reason:
-        found.findings = [*_values(found), *_events(found), *_interface(found), *_rules(found)]
+        measured = [one for pair in found.pairs for one in (*_at_load(pair), *_intervals(pair), *_lag(pair))]
+        found.compared += [(one.controller, one.title) for one in measured]
+        is_many = min(len(run.flights) for run in found.runs) >= MANY
+        found.findings = [*_judged(measured, is_many), *_events(found), *_interface(found), *_rules(found)]
         found.findings.sort(key=lambda one: (ORDER[one.kind], -one.weight))
     return found
 
@@ -246,13 +249,6 @@ class _Measured:
     base: float
     at: list[Record]
     beside: Change | None = None
-
-
-def _values(found: Comparison) -> Iterator[Finding]:
-    """Compare values at equal load, intervals between messages, and how a command is followed."""
-    measured = [one for pair in found.pairs for one in (*_at_load(pair), *_intervals(pair), *_lag(pair))]
-    found.compared += [(one.controller, one.title) for one in measured]
-    yield from _judged(measured, min(len(run.flights) for run in found.runs) >= MANY)
 
 
 def _at_load(pair: Pair) -> Iterator[_Measured]:

@@ -53,12 +53,6 @@ def find_tshark() -> str:
     return shutil.which("tshark") or next(filter(os.path.exists, usual), "")
 
 
-def version_of(about: str) -> tuple[int, ...]:
-    """Return the version in what tshark says of itself, (4, 0, 17)."""
-    found = re.search(r"(\d+)\.(\d+)\.(\d+)", about)
-    return tuple(map(int, found.groups())) if found else ()
-
-
 class Wireshark:
     """The installed Wireshark: tshark and its version (4, 0, 17), lua "5.2.4" or None, and the personal folders."""
 
@@ -66,7 +60,8 @@ class Wireshark:
         """Ask tshark, where there is one."""
         self.tshark = find_tshark()
         about = ask(self.tshark, "--version")[0] if self.tshark else ""
-        self.version = version_of(about)
+        found = re.search(r"(\d+)\.(\d+)\.(\d+)", about)
+        self.version = tuple(map(int, found.groups())) if found else ()
         if self.tshark and not self.version:
             raise Problem(f"{self.tshark} does not say its version: does it start?")
         lua = re.search(r"(?:with\s+|\+)Lua(?:\s+(\d+\.\d+(?:\.\d+)?))?", about)

@@ -106,9 +106,11 @@ def _answer(one: Samples, field: str, begin: float, end: float, before: float, c
         rest = values[times > (end - begin) * 2 / 3] - 1
         # What the value does once it has settled is noise.
         band = max(BAND, 3 * float(rest.std())) if len(rest) > 4 else BAND
-        inside = max(np.flatnonzero(np.abs(values - 1) > band), default=-1) + 1  # the first sample from which on it is
+        inside = (
+            max(np.flatnonzero(np.abs(values - 1) > band), default=-1) + 1
+        )  # the first sample of those that stay so
         record["overshoot"] = max(0.0, float(values.max()) - 1)
-        record["settling_time"] = [0.0, *map(float, times[1:]), None][inside]
+        record["settling_time"] = None if inside == len(times) else float(times[inside]) if inside else 0.0
         record["final_error"] = float(rest.mean() * change) if len(rest) > 1 else None
     return record
 
