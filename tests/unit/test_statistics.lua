@@ -1309,9 +1309,9 @@ function T.test_a_file_of_rules()
       'crc=a: "a" is not a number' })
     lu.assertStrContains(problems[2], path .. ':4: rules=x: no rule "rules"')
     lu.assertEquals(select(2, read_file("fault=x\n")), { path .. ':1: fault=x: "x" is not a number' })
-    local alone = {}
-    for i, rule in ipairs(options_of.parse("yapp,check", CATALOGUE).rules) do alone[i] = rule.text end
-    lu.assertEquals({ read_file("# fault=0\n\n") }, { table.concat(alone, " "), {} }) -- without rules, as `check` alone
+    for _, empty in ipairs { "", "# fault=0\n\n" } do
+      lu.assertEquals({ read_file(empty) }, { "unknown=0", { ("rules=%s: there is no rule in it"):format(path) } })
+    end
   end)
 end
 

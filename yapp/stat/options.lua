@@ -85,7 +85,7 @@ end
 function read_rules(options, path)
   local file, problem = io.open(path, "rb")
   demand(file, "%s", problem)
-  local source, number = options.source, 0
+  local source, number, count = options.source, 0, #options.rules + #options.problems
   for line in file:lines() do
     number = number + 1
     local part = trim((" " .. line:gsub("^\239\187\191", " ")):gsub("%s#.*", ""))
@@ -93,6 +93,7 @@ function read_rules(options, path)
   end
   file:close()
   options.source = source -- for the rules behind the file
+  demand(#options.rules + #options.problems > count, "there is no rule in it")
 end
 
 local function finish_check(options)

@@ -354,7 +354,7 @@ function M.close_files(list, problem)
     local path, aside = file.path, file.aside
     if problem and path ~= aside then
       os.remove(aside)
-    elseif path ~= aside then
+    elseif path ~= aside and not os.rename(aside, path) then
       os.remove(path) -- on Windows a rename does not replace a file
       local _, why = os.rename(aside, path)
       problem = why and path .. ": " .. why
