@@ -98,6 +98,7 @@ local LIMITS = {
   { "int64_ns", {}, "ffffffffffffff7f", "9223372036.854775807" },
   { "int64_ns", {}, "0000000000000080", "-9223372036.854775808" },
   { "int64_ns", {}, "00ca9a3b00000000", "1.000000000" },
+  { "int64_ns", {}, "ff3565c4ffffffff", "-1.000000001" }, { "int64_ns", {}, "e38cd23ce04e0000", "86725.000072419" },
 }
 
 -- The types of fields that Wireshark's API makes: it refuses FT_UINT40 to FT_UINT56, and others.
