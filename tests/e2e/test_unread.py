@@ -119,6 +119,14 @@ def test_a_count_of_packets(options, code, said):
     assert "YAPP check: " in done.stdout
 
 
+def test_a_count_of_packets_behind_a_read_filter():
+    """The plugin does not count the packets of pcap: how many -R left out is not known."""
+    for more, code in ([], 0), (["-c", "90000"], 21):
+        done = tshark.run("-2", "-R", "can", *more, "-r", tshark.CAPTURES / "can/command.pcap", "-q", "-z", "yapp,check,crc=0",
+                          check=False)
+        assert (done.returncode, "as -c stopped there" in done.stderr) == (code, code != 0), done.stderr
+
+
 # Files that end early ----------------------------------------------------------------------------------------------------
 
 CUT = "the file ends early"

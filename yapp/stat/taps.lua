@@ -181,6 +181,14 @@ local function close(self)
   self.reading:listen(false)
 end
 
+-- Return whether -c may have stopped the reading of a file.
+local function is_stopped(self, packets)
+  local options, in_file = self.options, self.buses.found.count
+  local limit = options.r and tonumber(options.c)
+  if not limit or in_file > 0 then return limit and in_file > limit end
+  return packets >= limit or options.R ~= nil -- a read filter leaves out some
+end
+
 -- Return why packets of the capture were not read, nil if all were.
 local function explain_unread(self)
   local packets, unread, options = self.current.packets, self.current.unread, self.options
@@ -188,9 +196,7 @@ local function explain_unread(self)
   local count = output.count(packets, "packet")
   if options.b or options["ring-buffer"] then return GOES_ON:format(count) end
   if unread > 0 then return RESET:format(packets, packets + unread) end
-  local in_file, limit = self.buses.found.count, options.r and tonumber(options.c)
-  local may_be_stopped = limit and (in_file > limit or in_file == 0 and packets >= limit)
-  if may_be_stopped then return STOPPED:format(count) end
+  if is_stopped(self, packets) then return STOPPED:format(count) end
   return self.buses:is_cut() and CUT or nil
 end
 
