@@ -50,18 +50,13 @@ def motor(clock, fault):
     return struct.pack("<6HBBIIqBB", *[0x7FFD] * 6, 80, 1, 0x40120000, fault, clock * 100_000_000, 3, 80)
 
 
-def rounds():
-    """Two controllers with the same ID: of (round, bus) the payload.  The one on bus 0 has a fault in rounds 3 to 5, the
-    other one boots before round 5."""
-    return {(at, bus): motor(1000 + at if bus == 0 else (500 + at if at < 5 else at - 5),
-                             0x10000 if bus == 0 and 3 <= at < 6 else 0) for at in range(9) for bus in (0, 1)}
-
-
 def turns():
-    """Their frames in turns; of bus 1 a part of round 2 is lost."""
-    frames, payloads = [], rounds()
+    """Two controllers with the same ID, in turns.  The one on bus 0 has a fault in rounds 3 to 5, the other one boots before
+    round 5, and a part of its round 2 is lost."""
+    frames = []
     for at in range(9):
-        sent = [can_generator.Sent(0x210, 0, 0, payloads[at, bus]).frames() for bus in (0, 1)]
+        payloads = motor(1000 + at, 0x10000 if 3 <= at < 6 else 0), motor(500 + at if at < 5 else at - 5, 0)
+        sent = [can_generator.Sent(0x210, 0, 0, payload).frames() for payload in payloads]
         for part in range(5):
             for bus in (0, 1):
                 if (at, bus, part) != (2, 1, 2):
@@ -354,18 +349,11 @@ def test_two_buses_never_have_one_name(names, linktype, shown, folder):
     assert all(f"({shown[one.bus]})" in info for one, (_, info) in zip(turns(), listed(path)))
 
 
-def long_capture(folder):
-    """More than Wireshark can rewind of a pipe."""
-    frames = [one._replace(time=one.time + at * 1_000_000) for at in range(40) for one in turns()]
-    path = written(folder, frames, "pcapng")
-    assert path.stat().st_size > 160_000
-    return path, [f"can{one.bus}" for one in frames]
-
-
 def test_a_long_pipe_opens(folder):
-    path, expected = long_capture(folder)
+    """Of more than Wireshark can rewind."""
+    frames = [one._replace(time=one.time + at * 1_000_000) for at in range(40) for one in turns()]
+    path, expected = written(folder, frames, "pcapng"), [f"can{one.bus}" for one in frames]
+    assert path.stat().st_size > 160_000
     for passes in [(), ("-2",)]:  # of the file all is known
         assert [row[0] for row in tshark.fields(path, ["yapp.bus"], *passes)] == expected
     assert [source.split()[0] for source, _ in through_a_pipe(listed, path)] == expected
-
-

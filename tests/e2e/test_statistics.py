@@ -219,10 +219,11 @@ def check_fields(described):
             if kind is None:
                 assert (column["type"], column["unit"]) == ("time", "s")
             elif model.is_float(kind):
-                assert (column["type"], column["unit"]) == ("float", kind[2])
+                assert (column["type"], column["unit"], column["low"], column["high"]) == ("float", kind[2], *kind[:2])
             else:
                 width = "flags" if model.is_flags(kind) else "uint"
                 assert (column["type"], column["kind"], column["bits"]) == ("integer", width, 8 * size)
+                assert not isinstance(kind, set) or kind == set(map(int, column["values"]))
             for flag in kind[1].values() if model.is_flags(kind) else ():
                 assert columns[f"{kind[0]}_{flag}"]["filter"] == f"taurus.{name}.{kind[0]}.{flag}"
 

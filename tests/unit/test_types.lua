@@ -4,7 +4,6 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local bytes = require("support").bytes
 local catalogue = require("yapp.message.catalogue")
-local inventory = require("yapp.stat.inventory")
 local field_kinds = require("yapp.message.field_kinds")
 local text_of = require("yapp.message.text")
 
@@ -217,41 +216,6 @@ function T.test_names_of_columns_that_are_taken()
   local names = {}
   for i, column in ipairs(text_of.columns(m)) do names[i] = column.name end
   lu.assertEquals(names, { "time_2", "id_2", "x", "x_text", "x_text_2" })
-end
-
--- What a reader needs for the type of a column, and what its numbers mean.
-function T.test_columns_are_described()
-  local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 13, every = 0.5,
-    { "mode", "int8", "Mode", values = { [10] = "ten", [-1] = "lost", [2] = 'a "b"' } },
-    { "bits", "uint16", "Bits", group = "bit", flags = { { "hot", 0x1, "Too Hot" } } },
-    { "volts", "float16", "Volts", min = 0, max = 5, unit = "V" }, { "serial", "uint64", "Serial" } } }
-  local nulls, columns = { low = "null", high = "null", kind = "null", bits = "null", values = "null" }, {}
-  local function column(name, type, title, rest)
-    for key, text in pairs(nulls) do rest[key] = rest[key] or text end
-    rest.name, rest.type, rest.title, rest.unit = name, type, title, rest.unit or "null"
-    rest.filter = "taurus.m." .. (rest.filter or name)
-    local json = '{"name":"$name","unit":$unit,"type":"$type","filter":"$filter","title":"$title",' ..
-      '"low":$low,"high":$high,"kind":$kind,"bits":$bits,"values":$values}'
-    columns[#columns + 1] = json:gsub("%$(%l+)", rest)
-  end
-  column("mode", "integer", "Mode", { kind = '"int"', bits = 8, values = '{"-1":"lost","2":"a \\"b\\"","10":"ten"}' })
-  column("mode_text", "string", "Mode", { filter = "mode" })
-  column("bits", "integer", "Bits", { kind = '"flags"', bits = 16 })
-  column("bit_hot", "bool", "Too Hot", { filter = "bit.hot" })
-  column("volts", "float", "Volts", { unit = '"V"', low = 0, high = 5 })
-  column("volts_special", "string", "Volts", { filter = "volts" })
-  column("serial", "integer", "Serial", { kind = '"uint"', bits = 64 })
-  local settings = { catalogue = compiled, version = "9.8.7", published = {
-    fields = { { "a.b", "UINT8", "A", "about" } }, experts = {},
-    preferences = { { "late", "bool", "Late", false, "about" } } } }
-  local text = inventory.describe(settings, text_of.columns, {})
-  lu.assertStrContains(text, '{"version":1,"plugin":"9.8.7","messages":{"m":{"title":"M","every":0.5,' ..
-    '"columns":[' .. table.concat(columns, ",") .. '],"formulas":[]}},"statistics":{},' ..
-    '"kinds":[{"name":"fault",')
-  lu.assertStrContains(text, '"fields":[{"name":"a.b","type":"UINT8","title":"A","help":"about"}],"experts":[],' ..
-    '"preferences":[{"name":"late","type":"bool","title":"Late","default":"false","help":"about"}]}')
-  lu.assertStrContains(text, '{"name":"copies","text":"recorded twice","keys":null,"counts_as":null,' ..
-    '"scope":null,"hides":null,"needs_time":null,"is_optional":true,"is_counted_only":true}')
 end
 
 -- A unit follows a value if its placeholder says so, also a reserved value and one that is not there.
