@@ -38,7 +38,7 @@ end
 function T.test_what_is_wrong_with_a_message_is_said()
   for _, row in ipairs {
     { { id = 2048 }, "message m: id 2048" }, { { id = -1 }, "message m: id -1" }, { { id = 1.5 }, "message m: id 1.5" },
-    { { size = 2 }, "message m: size is 2, but the fields add up to 1" }, { { title = "\255" }, "title has a sign that" },
+    { { every = "x" }, 'message m: every is "x", not a number' }, { { size = 2 }, "message m: size is 2, but the fields add up to 1" }, { { title = "\255" }, "title has a sign that" },
     { { info = "{g}" }, 'message m: info names a field "g"' }, { { [1] = 5 }, "message m, field 1: " },
     { { rate = 5 }, 'message m: unknown option "rate"; a message has answers, derived, differences, enables, every, id,' },
     { { derived = { { "d", "f * g", "D" } } }, 'message m: d: "f * g" is not two fields of numbers' },

@@ -204,6 +204,8 @@ local function add_message(catalogue, entry, context)
   demand(not input.find(catalogue.messages, entry.name), "the name is there twice")
   check(entry, "a message", MESSAGE_OPTIONS, math.huge)
   input.within("id", entry.id, 0, input.MAX_ID)
+  local has_period = type(entry.every or 0) == "number"
+  demand(has_period, "every is %s, not a number of seconds", input.shown(entry.every))
   local message_type = {
     filter = "taurus." .. entry.name,
     fields = {},

@@ -78,6 +78,8 @@ def convert(
     if bench and len(found) > 1:
         raise SetupError(f"{bench} is the log of one capture: name that one alone")
     writer(to)
+    if re.match(r"\w{2,}:(?!//)", str(out)):  # C: is a drive
+        raise SetupError(f"{out} is neither a folder nor a URL such as s3://bucket/folder")
     where, tshark = str(out) if "://" in str(out) else os.path.abspath(out), Tshark(**how)
     dataset, made = DataSet(where, to), made_by(tshark, tshark.fields())
     dataset.open()
