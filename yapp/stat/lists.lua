@@ -49,7 +49,7 @@ local FAULTS = output.columns({
 M.COLUMNS = { events = EVENTS, faults = FAULTS }
 
 local EVENT_KEYS = "kind time frame bus id source message " -- and those of its kind
-local FAULT_KEYS = "time frame bus id source message field flag event active help"
+local FAULT_KEYS = table.concat(FAULTS.json, " ", 1, #FAULTS.json - 1) -- all but NEAR
 
 local Lists = { follows_changes = true }
 Lists.__index = Lists
