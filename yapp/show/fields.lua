@@ -180,9 +180,10 @@ end
 --- Return seconds, a double, as a time to the nanosecond.
 function M.relative_time(seconds)
   local sign = seconds < 0 and -1 or 1
-  local nanoseconds = math.floor(sign * seconds * 1e9 + 0.5)
-  local rest = nanoseconds % 1e9
-  return NSTime.new(sign * (nanoseconds - rest) / 1e9, sign * rest)
+  local whole = math.floor(sign * seconds)
+  local rest = math.floor((sign * seconds - whole) * 1e9 + 0.5)
+  if rest == 1e9 then whole, rest = whole + 1, 0 end
+  return NSTime.new(sign * whole, sign * rest)
 end
 
 return M
