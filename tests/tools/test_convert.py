@@ -126,6 +126,12 @@ def test_bad_input_gets_a_sentence(make_capture, yapp_tables, arguments, code, s
     assert "Traceback" not in done.stderr
 
 
+def test_rules_that_are_not_there(yapp_tables):
+    done = yapp_tables("report", "flight.pcap", "--rules", "none.rules")
+    assert done.returncode == 2
+    assert "none.rules cannot be read: No such file" in done.stderr
+
+
 @pytest.mark.parametrize("command", EXAMPLES)
 def test_help_has_two_examples_that_can_be_parsed(command, capsys):
     with pytest.raises(SystemExit):

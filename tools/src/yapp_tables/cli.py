@@ -121,6 +121,17 @@ def _positive(text: str) -> int:
     return int(text)
 
 
+def _rules(given: argparse.Namespace) -> Path | None:
+    """Return the file of rules, if one is given. Raises SetupError if it cannot be read."""
+    if not given.rules:
+        return None
+    try:
+        Path(given.rules).open().close()
+    except OSError as error:
+        raise SetupError(f"{given.rules} cannot be read: {error.strerror}") from error
+    return Path(given.rules)
+
+
 def _say(texts: Iterable[str]) -> None:
     for text in texts:
         print(f"yapp-tables: {text}", file=sys.stderr)
@@ -173,7 +184,7 @@ def _convert(given: argparse.Namespace) -> int:
 
 
 def _report(given: argparse.Namespace) -> int:
-    _, flight = write_page(Path(given.capture), given.out, given.rules, _tshark(given))
+    _, flight = write_page(Path(given.capture), given.out, _rules(given), _tshark(given))
     _say(f"{flight.name}: {text}" for text in flight.left_out)
     return FAILED if flight.partial else INCOMPLETE if flight.left_out else 0
 
@@ -187,7 +198,7 @@ def _diff(given: argparse.Namespace) -> int:
     from . import diff  # its libraries take a while
 
     before, after = find(given.before), find(given.after)
-    found = diff.compare(before, after, _tshark(given), Path(given.rules) if given.rules else None)
+    found = diff.compare(before, after, _tshark(given), _rules(given))
     if given.junit:
         write_whole(Path(given.junit), diff.junit(found))
     return _print(given, diff, found) or found.code
