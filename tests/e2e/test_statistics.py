@@ -216,6 +216,7 @@ def check_fields(described):
         for field, size, kind in fields:
             column = columns[field]
             assert column["filter"] == f"taurus.{name}.{field}"
+            assert bool(column["learnable"]) == (model.is_float(kind) and kind[2] != "%")
             if kind is None:
                 assert (column["type"], column["unit"]) == ("time", "s")
             elif model.is_float(kind):

@@ -305,7 +305,7 @@ function T.test_csv_in_a_folder()
     lu.assertStrContains(read(folder .. "/fields.json"), '{"version":1,"plugin":"9.8.7","messages":{"motor":' ..
       '{"title":"Motor Data","every":0.1,"columns":[{"name":"time",')
     lu.assertStrContains(read(folder .. "/fields.json"), '{"name":"mode","unit":null,"type":"integer","filter":"taurus.motor.mode",' ..
-      '"title":"Mode","low":null,"high":null,"kind":"uint","bits":8,"values":{"0":"off","3":"on"}}')
+      '"title":"Mode","low":null,"high":null,"learnable":null,"kind":"uint","bits":8,"values":{"0":"off","3":"on"}}')
     lu.assertNil(io.open(folder .. "/motor.csv.part"))
   end)
 end

@@ -46,13 +46,15 @@ local function meanings(values)
 end
 
 -- low and high are the bounds of a compressed float.  kind, bits and values are for integers only:
--- the type, and the meaning of its numbers.
-local COLUMN_KEYS = "name unit type filter title low high kind bits values"
+-- the type, and the meaning of its numbers.  learnable: good flights show limits of the column.
+-- They show none of a percentage, nor of an integer without a unit: it may count.
+local COLUMN_KEYS = "name unit type filter title low high learnable kind bits values"
 
 local function column_values(column)
   local field = column.field or {} -- common columns have none
   local about, is_integer = column.flag or field, column.type == "integer"
   local is_float, kind = column.type == "float", is_integer and field.kind
+  local is_measured = is_float or is_integer and column.unit ~= nil
   return {
     name = column.name,
     unit = column.unit,
@@ -61,6 +63,7 @@ local function column_values(column)
     title = about.title,
     low = is_float and field.min,
     high = is_float and field.max,
+    learnable = is_measured and column.unit ~= "%",
     kind = kind,
     bits = kind and field.size * 8,
     values = is_integer and field.values and meanings(field.values),

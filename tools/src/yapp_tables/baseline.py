@@ -95,7 +95,9 @@ def learn(captures: Sequence[Path], tshark: Tshark) -> tuple[str, list[str]]:
     folder = os.path.commonpath([capture.parent for capture in captures])
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         flights = list(pool.map(lambda capture: _read(capture, os.path.relpath(capture, folder), tshark), captures))
-        findings = [*_summed(flights), *_shown(flights)]
+        fixed = {f"{name}.{column['name']}" for name, entry in flights[0].fields["messages"].items()
+                 for column in entry["columns"] if not column["learnable"]}  # fmt: skip
+        findings = [one for one in (*_summed(flights), *_shown(flights)) if one.what.rpartition(".")[0] not in fixed]
         found = {(one.source, one.what): one.found for one in findings}
         apart, rules = _least_apart(found), _counted(flights)
         for one in findings:
