@@ -959,15 +959,16 @@ function T.test_preferences_that_decode()
 end
 
 function T.test_messages_that_are_not_dissected()
-  local records = { record(1, 0), record(2, 1, { kind = "undissected", source = ODD, values = { size = 11 }, fits = false }) }
+  local function odd(frame) return record(frame, 1, { kind = "undissected", source = ODD, values = { size = 11 }, fits = false }) end
+  local records = { record(1, 0), odd(2) }
   lu.assertStrContains(said(records)[2], "1 message was not decoded: can0 0x300 (11 bytes, the size of Motor Data). Try")
   lu.assertEquals(verdicts("unknown=0", records)[1], "unknown=0 null false 1 2")
-  local printed, code = run({ "check" }, { records[2] }, { extended = 5 })
+  local printed, code = run({ "check" }, { odd(1) }, { extended = 5 })
   lu.assertEquals({ code, lines(printed)[2] }, { 21, "no YAPP message found; 5 extended CAN frames were not dissected: " ..
     "see yapp.motor_ids, yapp.all_extended" })
   lu.assertStrContains(lines(printed)[3], "1 message was not decoded")
-  lu.assertStrContains(run({ "faults" }, { records[2] }), "no YAPP message found in 1 packet: see yapp.user_dlt")
-  lu.assertStrContains(run({ "faults" }, { records[2] }), "docs/streams.md, docs/files.md")
+  lu.assertStrContains(run({ "faults" }, { odd(1) }), "no YAPP message found in 1 packet: see yapp.user_dlt")
+  lu.assertStrContains(run({ "faults" }, { odd(1) }), "docs/streams.md, docs/files.md")
 end
 
 function T.test_nothing_to_judge_by()

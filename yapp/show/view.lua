@@ -40,8 +40,10 @@ end
 -- Begin with a frame or packet.
 local function begin(self, wants, tvb, tree)
   self.wants, self.tvb, self.tree, self.item, self.offset = wants, tvb, tree, tree, 0
-  if tree and wants.names then add(tree, self.yapp) end
-  self.needs_name = tree and wants.names and not wants.taurus -- of the Taurus messages
+  self.needs_name = false
+  if not (wants.names and tree) then return end
+  add(tree, self.yapp)
+  self.needs_name = not wants.taurus -- of the Taurus messages
 end
 
 -- Single items ------------------------------------------------------------------------------------

@@ -58,7 +58,7 @@ function Run:reset()
   self.offered, self.number, self.visited = {}, nil, nil -- of the packet that is dissected
   self.waiting = {} -- events of packets whose taps have run
   self.unread = 0 -- number of packets that came behind Run:stop
-  self.packets, self.latest = 0, 0 -- how many packets came, and the number of the latest
+  self.packets = 0 -- how many packets came
   self.last = nil -- its time
   self.has_progress = false -- true if it differs from the packet's before
   -- How often the capture's clock went back, and the latest packet behind that:
@@ -90,7 +90,7 @@ end
 -- result  see reading.records
 function Run:report(result)
   local number, visited = result.frame.number, result.frame.visited
-  if number <= self.latest then return events.append(self.waiting, result) end
+  if number <= self.packets then return events.append(self.waiting, result) end
   -- tshark -2 dissects all packets before the first tap runs.
   if number ~= self.number or visited ~= self.visited then
     self.number, self.visited, self.offered = number, visited, {}
@@ -121,7 +121,7 @@ end
 function Run:packet(number, rel, has_clock)
   if self.waiting[1] then deliver_waiting(self) end
   local last = self.last or rel
-  self.last, self.latest, self.packets = rel, number, self.packets + 1
+  self.last, self.packets = rel, number
   if rel ~= last then
     self.has_progress = true
     if last - rel > MAX_STEP then
