@@ -193,13 +193,18 @@ def test_buses_of_captures_of_others():
 
 
 def test_asc(folder):
-    """Its error frames have no class."""
+    """Its error frames have no class; the states of a controller have lines of their own."""
     path = folder / "errors.asc"
     lines = [f" {0.1 * at:.6f} 1  {'ErrorFrame' if at % 5 == 2 else '123             Rx   d 1 01'}" for at in range(20)]
     path.write_text("date Tue Nov 14 22:13:20.000 2023\nbase hex  timestamps absolute\n" + "\n".join(lines) + "\n")
     row = json.loads(tshark.run("-r", path, "-q", "-z", "yapp,buses,json").stdout)
     assert [row["bus"], row["frames"], row["errors"]["bus"], sum(row["errors"].values())] == ["CAN-1", 16, 4, 4]
     assert failed(path, "bus_errors=3")[1]["bus_errors"] == 4
+    states = ["error active", "warning level", "error passive - TxErr: 132 RxErr: 0", "busoff", "error active"]
+    lines[1:1] = [f" 0.0{at} CAN 1 Status:chip status {state}" for at, state in enumerate(states, 1)]
+    path.write_text("base hex  timestamps absolute\n" + "\n".join(lines) + "\n")
+    assert on_buses(said(path)) == [("CAN-1", "passive", 3), ("CAN-1", "off", 4)]
+    assert failed(path, "bus_off=0", "bus_passive=0") == (20, {"bus_off": 1, "bus_passive": 1})
 
 
 def test_near(folder):

@@ -31,6 +31,10 @@ function T.test_lines()
     ["0.1 1 8404000x Rx d f 1 2 3 4 5 6 7 8"] = "100000 1 88404000 8 0 0102030405060708",
     ["0.1 3 ErrorFrame"] = "100000 3 20000080 8 0 0000000000000000",
     ["0.1 3  ErrorFrame Flags = 0xe CodeExt = 0x20a2"] = "100000 3 20000080 8 0 0000000000000000",
+    ["0.015991 CAN 1 Status:chip status error passive - TxErr: 132 RxErr: 0"] = "15991 1 20000004 8 0 0030000000000000",
+    ["0.1 CAN 2 Status:chip status busoff"] = "100000 2 20000040 8 0 0000000000000000",
+    ["0.1 CAN 2 Status:chip status warning level"] = "100000 2 20000004 8 0 000C000000000000",
+    ["0.1 CAN 2 Status:rx queue overrun"] = "100000 2 20000004 8 0 0001000000000000",
     ["0.1 CANFD 1 Rx 8404000x  1 0 8  8 BB BE 6F C7 20 0 0 0  0 0 3000 0 0 0 0 0"] =
       "100000 1 88404000 fd 8 5 BBBE6FC720000000",
     ["0.1 CANFD 1 Tx 123 Name_1 0 1 9 12 1 2 3 4 5 6 7 8 9 A B C 0 0 1000 0"] =

@@ -110,15 +110,16 @@ local function read_flexible(log, channel, direction, id, rest)
   return record
 end
 
+-- Class and state of an error frame (linux/can/error.h), by what a line reports.
+local REPORTS = {
+  errorframe = { 0x80, 0 },
+  ["chip status busoff"] = { 0x40, 0 },
+  ["chip status error passive"] = { 0x04, 0x30 },
+  ["chip status warning level"] = { 0x04, 0x0C },
+  ["rx queue overrun"] = { 0x04, 0x01 },
+}
+
 local FORMS = {
-  { --  0.001000 1  ErrorFrame
-    pattern = "^[CANFDcanfd]*%s*(%d%d?%d?)%s+%f[%S][RrTtXx]*%s*[Ee]rror[Ff]rame",
-    read = function(_, channel)
-      return { bus = "CAN-" .. tonumber(channel), id = text.ERROR + 0x80, data = ("\0"):rep(8) }
-    end,
-    like = STAMP .. "+%d+%f[%s\0]", -- a channel
-    needs_time = true,
-  },
   { --  0.001000 1  8408000x        Rx   d 8 FD 7F FD 7F FD 7F FD 7F
     pattern = "^(%d%d?%d?)%s+(%w+)%s+([RrTt])[Xx]%s+(.*)$",
     read = read_classic,
@@ -129,6 +130,21 @@ local FORMS = {
     pattern = "^[Cc][Aa][Nn][Ff][Dd]%s+(%d%d?%d?)%s+([RrTt])[Xx]%s+(%w+)%s+(.*)$",
     read = read_flexible,
     like = "canfd%f[^%a]",
+    needs_time = true,
+  },
+  { --  0.001000 1  ErrorFrame
+    --  0.001000 CAN 1 Status:chip status error passive - TxErr: 132 RxErr: 0
+    pattern = "^[CANFDcanfd]*%s*(%d%d?%d?)%s+%f[%S][RrTtXx]*%s*(%a.*)$",
+    read = function(_, channel, rest)
+      rest = rest:lower()
+      local report = REPORTS[rest:match("^errorframe") or rest:match("^status:([%l ]*%l)")]
+      return report and {
+        bus = "CAN-" .. tonumber(channel),
+        id = text.ERROR + report[1],
+        data = "\0" .. string.char(report[2]) .. ("\0"):rep(6),
+      }
+    end,
+    like = STAMP .. "+%d+%f[%s\0]", -- a channel
     needs_time = true,
   },
 }

@@ -150,27 +150,33 @@ end
 
 -- CAN ---------------------------------------------------------------------------------------------
 
---- Read the next frame of the capture, and report its result; recall the result on a revisit.
--- frame    see reading.records
--- returns  its result, which is used again for the next frame; nil for a frame that is not YAPP's
-function Reading:read(frame)
+-- Set source and slot of a frame; return what reassembly says of it.
+local function reassemble(self, frame)
   local fields, bus, fragments = frame.can_id, frame.bus, self.reassembly
   frame.source, frame.seq = self.sources[bus][fields.id], fields.seq
   frame.slot = fields.message_key + (bus or 0) * BUS
   local read = frame.visited and fragments.recall or fragments.add
   local kind, transfer, anomalies = read(fragments, frame)
+  if transfer then frame.source = transfer.source end
+  return kind, transfer or false, anomalies or false
+end
+
+--- Read the next frame of the capture, and report its result; recall the result on a revisit.
+-- frame    see reading.records
+-- returns  its result, which is used again for the next frame; nil for a frame that is not YAPP's
+function Reading:read(frame)
+  local kind, transfer, anomalies = reassemble(self, frame)
   if not kind then return nil end
   local result, message, is_usual = self.result, false, true
-  if transfer then frame.source = transfer.source end
   if kind == "last" or kind == "single" then
     message, is_usual = self:read_message(frame, transfer)
     if message.has_fault then reassembly.mark_fault(transfer) end
   end
   result.kind = kind
   result.frame = frame
-  result.transfer = transfer or false
+  result.transfer = transfer
   result.message = message
-  result.anomalies = anomalies or false
+  result.anomalies = anomalies
   result.is_usual = is_usual and not anomalies and #frame.data == frame.reported
   if kind == "fragment" and not anomalies then return result end -- no statistic counts it
   return report(self, result)
