@@ -60,7 +60,8 @@ local function read_file(file)
   found.is_cut = not is_long_pipe and ending.is_cut(file)
   -- A short file may be of a live capture that already had packets when it was opened; one that is
   -- damaged, as a compressed file that was cut off, was not read to its end.
-  found.needs_fields = found.is_live or is_short and found.has_several or
+  local may_be_several = found.has_several or #found.interfaces > 1
+  found.needs_fields = found.is_live or is_short and may_be_several or
     is_long_pipe and found.may_add_buses or why ~= nil
   return found
 end
@@ -89,10 +90,12 @@ end
 -- Find the bus of a packet behind those that were read when the file was opened.
 -- returns  as Capture.bus_of
 local function find_later(self, number)
-  local found = self.found
-  local bus = self.kept[number] or found:bus_by_fields(fields_of(NAMES))
-  -- The bus that was the only one when the file was opened stays without a number.
-  if not found.has_several and (bus or 1) == 1 then return nil, true end
+  local found, fields = self.found, fields_of(NAMES)
+  local bus = self.kept[number] or found:bus_by_fields(fields)
+  -- The bus that was the only one when the file was opened stays without a number.  CAN inside of
+  -- another protocol sees no fields of its packet.
+  local may_be_first = bus or fields["frame.number"]
+  if not found.has_several and may_be_first and (bus or 1) == 1 then return nil, true end
   self.kept[number] = bus
   return bus, bus ~= nil
 end

@@ -440,10 +440,10 @@ function File:bus_finder(compares_times, later)
   end
 end
 
---- Wireshark's fields that tell the bus of a packet.
+--- Wireshark's fields that tell the bus of a packet; its number shows whether any can be seen.
 M.FIELDS = {
-  "frame.interface_id", "frame.interface_name", "frame.section_number", "sll.ifindex",
-  "rtacser.eventtype", "frame.packet_flags_direction",
+  "frame.number", "frame.interface_id", "frame.interface_name", "frame.section_number",
+  "frame.packet_flags_direction", "sll.ifindex", "rtacser.eventtype",
 }
 
 -- Return the interface of a packet that was not read.
