@@ -3,6 +3,7 @@
 
 import json
 import re
+import subprocess
 import zipfile
 
 import pairs
@@ -65,3 +66,18 @@ def test_what_comes_many_times_is_one_sentence(tmp_path):
     assert re.fullmatch(rf"Motor overcurrent, Faulted \d+ times, {span} to {span}, at most \d+\.\d{{3}} s\.", line), (
         line
     )
+
+
+def test_a_bus_that_was_silent_is_one_sentence(tmp_path):
+    planted.write(tmp_path / "whole.pcapng", 8, 60.0, ())
+    silent = "frame.time_relative > 30 && frame.time_relative < 32 && frame.interface_name == can1 && can.id != 0"
+    cut = ["tshark", "-r", tmp_path / "whole.pcapng", "-Y", f"!({silent})", "-w", tmp_path / "run.pcapng"]
+    subprocess.run(cut, check=True, capture_output=True)
+    done = run_tables(tmp_path, "report", "run.pcapng", "--out", "page.html", "--plugin", PLUGIN, *planted.OPTIONS)
+    assert done.returncode == 0, done.stderr
+    lines = planted.causes((tmp_path / "page.html").read_text())
+    assert list(lines) == ["can1"], lines
+    assert re.fullmatch(r"silence of all 4 controllers 2\.\d{3} s at 0:29\.\d{3}\.", lines["can1"]), lines
+    phases = re.search(r'<p id="phases".*?>(.*?)</p>', (tmp_path / "page.html").read_text())[1]
+    names = ", ".join(f"{name} (can{name[0] == 'R':d})" for name in planted.NAMES)
+    assert phases.startswith(f"Nothing found of {names}. In flight (by speed) "), phases

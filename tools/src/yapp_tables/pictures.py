@@ -17,6 +17,7 @@ from .tshark import Record
 SAMPLES = 12_000
 CLOUD = 500  # points of one source, and of its largest values
 CLOUD_ENDS = 20
+BINS = 40  # of speeds, in which currents are compared
 ODD, APART = 0.5, 0.1  # of the others' current at the same speed, that a point is away, and of the largest
 ODD_SHARE = 0.1  # of the points of a source: with fewer it is not called odd
 COLOURS, IDS_OF_A_BUS = 16, 8
@@ -159,7 +160,8 @@ class Pictures:
 def _usual(found: Found, speed: str, current: str) -> list[Array]:
     """Return for each sample the median of what two or more others have at the same speed, [(n)]; NaN where none."""
     speeds = [one.columns[speed] for one in found]
-    edges = np.nanquantile(np.concatenate(speeds), np.linspace(0, 1, 21)[1:-1])
+    whole = np.concatenate(speeds)
+    edges = np.linspace(np.nanmin(whole), np.nanmax(whole), BINS + 1)[1:-1]
     bins = [np.searchsorted(edges, own) for own in speeds]
     grid = np.full((len(found), len(edges) + 1), np.nan)
     for row, one, own in zip(grid, found, bins, strict=True):

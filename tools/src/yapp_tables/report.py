@@ -6,6 +6,7 @@ from __future__ import annotations
 import html
 import json
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from importlib.resources import files
@@ -25,11 +26,12 @@ from .matrix import Matrix, multiples
 from .pages import css
 from .pictures import Pictures, packed
 from .scratch import write_whole
-from .series import Samples, samples, source_name
+from .series import Samples, natural, samples, source_name
 from .tshark import Record, Tshark
 from .verdict import head, merged, series_of
 
 CARDS = 8  # of a page
+STILL = 0.1  # of its highest speed: slower a controller does not turn
 
 
 def report(capture: StrPath, out: StrPath | None = None, *, rules: StrPath | None = None, **how: Any) -> Path:
@@ -83,10 +85,10 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
     rows = fault_rows(flight.messages, events, length) + other_rows(events)
     for row in rows:
         row["stop"] = length if row["end"] is None else row["end"]
-        pictures.source(row["source"], row)
+        pictures.source(row["source"], row, is_own=row["id"] is not None)
     _find_frames(flight, start, rows)
     _find_stopped(found.values(), rows)
-    incidents = joined(rows)
+    incidents = _of_buses(joined(rows), found.values())
     _name(incidents, rows, pictures)
     for row in (row for row in incidents if row["is_fault"]):
         frames = {one["frame"] for one in row["rows"]}
@@ -109,6 +111,7 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
         ],
         "incidents": sorted(incidents, key=lambda row: (not row["is_serious"], float(row["begin"]))),
         "differs": merged(pictures.differs, controllers),
+        "controllers": list(matrix.labels.values()),
         "flight": pictures.phases,
         "limits": pictures.limits_told(),
         "has_default_limits": limits.is_default,
@@ -156,13 +159,33 @@ def _find_stopped(found: Iterable[Samples], rows: list[Record]) -> None:
             if len(speed) and row["bus"] in {bus for bus, _ in one.ids}:
                 before = speed[(one.times > row["begin"] - 1) & (one.times <= row["begin"])]
                 during = speed[(one.times > row["begin"]) & (one.times < row["stop"] + 0.5)]
-                if len(before) and len(during):
-                    shares[one.name] = np.nanmin(during) / max(np.nanmax(before), 1e-9)
+                if len(during) and np.nanmax(before, initial=0.0) > STILL * np.nanmax(speed):
+                    shares[one.name] = np.nanmin(during) / np.nanmax(before)
         slowed = {name: share for name, share in shares.items() if share < 0.9}
         if slowed:
             least = min(slowed.values())
             word = "stopped" if least < 0.1 else f"slowed to {least:.0%} of their speed"
             row["stopped"] = f"{series_of(list(slowed))} {word}"
+
+
+def _of_buses(incidents: list[Record], found: Iterable[Samples]) -> list[Record]:
+    """Join the silences of most controllers of a bus that begin within a second to one of the bus."""
+    whose = {(bus, one.controller) for one in found if one.speed() or one.supply() for bus, _ in one.ids}
+    sizes = Counter(bus for bus, _ in whose)
+    kept = [row for row in incidents if row["kinds"] != ["silence"] or row["rows"][0]["is_command"]]
+    rest = sorted((row for row in incidents if row not in kept), key=lambda row: float(row["begin"]))
+    while rest:
+        bus = rest[0]["rows"][0]["bus"]
+        whole = [row for row in rest if row["rows"][0]["bus"] == bus and row["begin"] <= rest[0]["begin"] + 1]
+        rest = [row for row in rest if row not in whole]
+        if len(whole) < max(2, 2 / 3 * sizes[bus]):
+            kept += whole
+            continue
+        ends, names = [row["until"] for row in whole], sorted((row["source"] for row in whole), key=natural)
+        who = f"all {len(whole)} controllers" if len(whole) == sizes[bus] else series_of(names)
+        about = {"bus": bus, "source": bus, "what": f"silence of {who}", "until": None if None in ends else max(ends)}
+        kept.append(whole[0] | about | {"rows": [one for row in whole for one in row["rows"]]})
+    return kept
 
 
 def _name(incidents: list[Record], rows: list[Record], pictures: Pictures) -> None:
@@ -174,7 +197,8 @@ def _name(incidents: list[Record], rows: list[Record], pictures: Pictures) -> No
         row["label"] = row["source"] if row["number"] is None else sources[row["number"]]["label"]
     for row in incidents:
         known = [one["number"] for one in row["rows"] if one["number"] is not None]
-        if known and not row["is_fault"]:  # that source of its controller which came first, the one with a name
+        if known and not row["is_fault"] and "bus" not in row:
+            # That source of its controller which came first, the one with a name.
             lead = sources[min(known)]
             row |= {"number": min(known), "source": lead["name"], "label": lead["label"]}
         row["first"], row["last"] = min(one["first"] for one in row["rows"]), max(one["last"] for one in row["rows"])

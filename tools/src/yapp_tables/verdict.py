@@ -101,11 +101,21 @@ def _incident(row: Record, data: Record) -> str:
         more = [word for kind, word in (("reboot", "a reboot"), ("silence", "silence")) if kind in kinds]
         return f"{text}; then {' and '.join(more)}" if more else text
     if "reboot" in kinds:
-        return f"rebooted at {clock(until or begin)}" + f", silent {lasts}" * ("silence" in kinds)
-    if kinds == ["silence"] and not rows[0]["is_command"]:
+        times = reboots_of(row)
+        text = f"rebooted {f'{times} times, the last ' * (times > 1)}at {clock(until or begin)}"
+        return text + f", silent {lasts}" * ("silence" in kinds)
+    if kinds == ["silence"] and not rows[0]["is_command"] and "bus" not in row:
         return f"silent {lasts}, from {clock(begin)}"
-    text = f"{row['what']} {f'{lasts} ' * (until != begin and until is not None)}at {clock(begin)}"
+    text = f"{row['what']} {f'{lasts} ' * (until != begin)}at {clock(begin)}"
+    if lasts == "until the end":
+        text = f"{row['what']} at {clock(begin)}, {lasts}"
     return f"{text}; {row['stopped']}" if row.get("stopped") else text
+
+
+def reboots_of(row: Record) -> int:
+    """Return how often a controller rebooted in an incident, by its fastest message."""
+    reboots = [one["every"] for one in row["rows"] if one["kind"] == "reboot"]
+    return reboots.count(min(reboots))
 
 
 def _differences(rows: list[Record], whole: float) -> Iterator[tuple[float, str, Record]]:
@@ -182,7 +192,8 @@ def headline(data: Record) -> tuple[str, str]:
     faults = [row for row in data["incidents"] if row["is_fault"]]
     rest = [row for row in data["incidents"] if row["is_serious"] and not row["is_fault"]]
     reboots = [row for row in rest if "reboot" in row["kinds"]]
-    said = [count_of(len(rows), noun) for rows, noun in ((faults, "fault"), (reboots, "reboot")) if rows]
+    counts = {"fault": len(faults), "reboot": sum(map(reboots_of, reboots))}
+    said = [count_of(count, noun) for noun, count in counts.items() if count]
     for kind, is_command, one, many in (
         ("silence", False, "1 silence of {}", "{n} silences, the longest {}"),
         ("silence", True, "Commands lost {}", "Commands lost {n} times, at most {}"),
@@ -202,8 +213,10 @@ def headline(data: Record) -> tuple[str, str]:
     said += [f"{count_of(len(hot - loaded), 'controller')} too hot"] if hot - loaded else []
     said += [f"battery down to {min(row['value'] for row in sags):.1f} V"] if sags else []
     said += [f"{count_of(len(odd), 'other controller' if hot - loaded else 'controller')} to look at"] if odd else []
-    losses = sum(one["count"] for row in data["incidents"] for one in row["rows"] if one["kind"] in LOSSES)
-    lost = [f"{count_of(losses, 'message')} damaged or lost"] if losses else []
+    losses = [one for row in data["incidents"] for one in row["rows"] if one["kind"] in LOSSES]
+    who = {one["label"] for one in losses}
+    whose = f" of {who.pop()}" if len(who) == 1 else ""
+    lost = [f"{count_of(sum(one['count'] for one in losses), 'message')}{whose} damaged or lost"] if losses else []
     if said:
         return "NOT GOOD", ", ".join(said + lost)
     if data["left_out"]:
@@ -246,6 +259,9 @@ def _cause(who: str, said: Sequence[Record]) -> str:
 def _phases(data: Record) -> str:
     spans = ", ".join(f"{minute(begin)} to {minute(end)}" for begin, end in data["flight"])
     flight = f"In flight (by speed) {spans}; means are of the flight only. " if spans else ""
+    found = {*causes(data), *(row["label"] for row in data["incidents"])}
+    innocent = [label for label in data["controllers"] if label not in found]
+    flight = f"Nothing found of {', '.join(innocent)}. {flight}" if innocent else flight
     limits = ", ".join(data["limits"])
     if data["has_default_limits"]:
         return f"{flight}Limits: the default set of this page, not yours: {limits}; --rules FILE draws yours."
