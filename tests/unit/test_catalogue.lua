@@ -38,7 +38,14 @@ end
 function T.test_what_is_wrong_with_a_message_is_said()
   for _, row in ipairs {
     { { id = 2048 }, "message m: id 2048" }, { { id = -1 }, "message m: id -1" }, { { id = 1.5 }, "message m: id 1.5" },
-    { { every = "x" }, 'message m: every is "x", not a number' }, { { size = 2 }, "message m: size is 2, but the fields add up to 1" }, { { title = "\255" }, "title has a sign that" },
+    { { every = "x" }, 'message m: every is "x", not a number' }, { { min_size = "1" }, 'message m: min_size is "1", not a number' },
+    { { [1] = { "f", "uint8", "F", values = { Off = 0 } } }, "message m, field f: values are { [number] = text }" },
+    { { [1] = { "f", "uint8", "F", values = { [0] = 1 } } }, "message m, field f: values are { [number] = text }" },
+    { { [1] = { "f", "uint8", "F", scale = 0 } }, "message m, field f: scale is 0" },
+    { { [1] = { "f", "uint8", "F", unit = 5 } }, "message m, field f: unit is 5, not a string" },
+    { { [1] = { "f", "float8", "F", min = 2, max = 1 } }, "message m, field f: min and max are missing, or no range" },
+    { { [1] = { "f", "float8", "F", max = 1 } }, "message m, field f: min and max are missing, or no range" },
+    { { size = 2 }, "message m: size is 2, but the fields add up to 1" }, { { title = "\255" }, "title has a sign that" },
     { { info = "{g}" }, 'message m: info names a field "g"' }, { { [1] = 5 }, "message m, field 1: " },
     { { rate = 5 }, 'message m: unknown option "rate"; a message has answers, derived, differences, enables, every, id,' },
     { { derived = { { "d", "f * g", "D" } } }, 'message m: d: "f * g" is not two fields of numbers' },
@@ -79,7 +86,7 @@ function T.test_types_of_filters()
     { "t", "int64_ns", "T" }, { "f", "float8", "F", min = 0, max = 1 }, { "d", "float64", "D" },
     { "s", "string", "S", length = 2 }, { "y", "bytes", "Y", length = 2 }, { "c", "uint8", "C", scale = 0.5 },
     { "w", "uint64", "W" },
-    { "g", "uint32", "G", group = "x", alarm = "A", flags = { { "hot", 8, "Hot" } } } } }
+    { "g", "uint32", "G", group = "x", alarm = true, flags = { { "hot", 8, "Hot" } } } } }
   lu.assertEquals(problems, {})
   local found = {}
   for _, row in ipairs(compiled.messages[1].filters) do

@@ -167,7 +167,7 @@ end
 function T.test_faults_from_rise_to_fall()
   local flags = { { "low", 3, "Low" }, { "hot", 4, "Hot" } }
   local message = catalogue.compile({ { name = "m", title = "M", id = 1, size = 1,
-    { "f", "uint8", "F", group = "f", alarm = "A", flags = flags } } }).messages[1]
+    { "f", "uint8", "F", group = "f", alarm = true, flags = flags } } }).messages[1]
   local of_m, messages = { type = message }, {}
   for i, raw in ipairs { 1, 2, 4, 0, 0x81 } do
     messages[i] = { source = of_m, seq = 0, key = i, time = i, status = "good", raws = { raw }, payload = "" }

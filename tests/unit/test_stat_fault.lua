@@ -17,7 +17,7 @@ local CATALOGUE, PROBLEMS = catalogue_of.compile {
   { name = "motor", title = "Motor Data", id = 0x210, size = 3, every = 0.1, answers = "command",
     info = "{volts:%.0f unit}",
     { "volts", "float8", "Volts", min = 0, max = 250, unit = "V" },
-    { "flags", "uint8", "Flags", group = "fault", alarm = "FAULT",
+    { "flags", "uint8", "Flags", group = "fault", alarm = true,
       flags = { { "hot", 1, "Hot" }, { "stall", 2, "Stall" } } },
     { "state", "uint8", "State", group = "state", flags = { { "slow", 1, "Slow" } } } },
 }

@@ -33,7 +33,7 @@ end
 local CATALOGUE, PROBLEMS = catalogue_of.compile {
   { name = "motor", title = "Motor Data", id = 0x210, size = 11, every = 0.1,
     { "volts", "float8", "Volts", min = 0, max = 250, unit = "V" },
-    { "fault_flags", "uint8", "Faults", group = "fault", alarm = "FAULT",
+    { "fault_flags", "uint8", "Faults", group = "fault", alarm = true,
       flags = { { "hot", 0x1, "Hot" }, { "stall", 0x6, "Stall" } } },
     { "mode", "uint8", "Mode", values = { [0] = "off", [3] = "on" } },
     { "clock", "int64_ns", "Clock" } },

@@ -35,7 +35,7 @@ local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
 local text_of = require "yapp.message.text"
 
-local demand, set = input.demand, input.set
+local demand = input.demand
 
 local M = {}
 
@@ -63,20 +63,39 @@ for size = 1, 8 do
 end
 for _, size in ipairs { 1, 2, 4 } do add_type("float", size, 0, 2 ^ (8 * size) - 1) end
 
-local MESSAGE_OPTIONS = set("name title section id size min_size info info_rest every answers " ..
-  "enables speed differences derived")
-local FIELD_OPTIONS = set "unit scale offset values invalid flags group alarm min max length"
-local FLAG_OPTIONS = set "help alarm"
+-- Return { [name of an option] = its type in Lua }.
+-- names  { [type] = names }
+local function types_of(names)
+  local types = {}
+  for kind, words in pairs(names) do
+    for name in words:gmatch("%S+") do types[name] = kind end
+  end
+  return types
+end
 
--- Raise that an option is not known, or cannot be shown.
+local MESSAGE_OPTIONS = types_of {
+  string = "name title section info info_rest answers enables speed",
+  number = "id size min_size every",
+  table = "differences derived",
+}
+local FIELD_OPTIONS = types_of {
+  string = "unit group invalid",
+  number = "scale offset min max length",
+  table = "values flags",
+  boolean = "alarm",
+}
+local FLAG_OPTIONS = types_of { string = "help", boolean = "alarm" }
+
+-- Raise that an option is not known, of another type, or cannot be shown.
 -- what     the owner of the options: "a flag"
--- options  { [name] = true } of the options that there are
+-- options  of types_of
 -- count    how many values without a name it has
 local function check(row, what, options, count)
   for key, value in pairs(row) do
-    local is_known = options[key] or type(key) == "number" and key <= count
-    demand(is_known, "unknown option %s; %s has %s", input.shown(key), what,
-      is_known or input.names(options))
+    local kind = options[key] or type(key) == "number" and key <= count and type(value)
+    demand(kind, "unknown option %s; %s has %s", input.shown(key), what,
+      kind or input.names(options))
+    demand(kind == type(value), "%s is %s, not a %s", key, input.shown(value), kind)
     local is_shown = type(value) ~= "string" or input.is_text(value)
     demand(is_shown, "%s has a sign that cannot be shown", key)
   end
@@ -113,6 +132,7 @@ local function add_range(field, row)
     field.kind, field.bottom, field.top, field.shape = "ieee", nil, nil, "%.7g"
     return
   end
+  demand(row.min and row.max and row.min < row.max, "min and max are missing, or no range")
   field.min, field.max = row.min + 0.0, row.max + 0.0 -- COMPAT 5.4: see add_meaning
   field.shape = field.size == 4 and "%.10g" or "%.7g"
   field.ordinary = field.top - 5
@@ -121,8 +141,12 @@ end
 
 -- Let the options of a row make its field one of codes, of flags, or of scaled integers.
 local function add_meaning(message_type, field, row)
+  for code, text in pairs(row.values or {}) do
+    demand(type(code) == "number" and input.is_text(text), "values are { [number] = text }")
+  end
   if row.values then field.values, field.invalid = row.values, row.invalid or "value.invalid" end
   if row.flags then add_flags(message_type, field, row) end
+  demand(row.scale ~= 0, "scale is 0")
   if row.scale or row.offset then
     field.kind, field.shape = "scaled", "%.15g"
     -- COMPAT 5.4: products of integers wrap around
@@ -204,8 +228,6 @@ local function add_message(catalogue, entry, context)
   demand(not input.find(catalogue.messages, entry.name), "the name is there twice")
   check(entry, "a message", MESSAGE_OPTIONS, math.huge)
   input.within("id", entry.id, 0, input.MAX_ID)
-  local has_period = type(entry.every or 0) == "number"
-  demand(has_period, "every is %s, not a number of seconds", input.shown(entry.every))
   local message_type = {
     filter = "taurus." .. entry.name,
     fields = {},
