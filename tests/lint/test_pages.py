@@ -27,8 +27,8 @@ def test_readme_is_short_and_in_this_order():
     lines = lines_of("README.md")
     assert len(lines) <= 150 and len(" ".join(lines).split()) <= 900
     titles = re.findall(r"^## (.*)", README, re.M)
-    assert titles == ["Install", "A first result", "Several controllers", "Filters", "A gate for CI", "Live", "Nothing is decoded?",
-                      "More", "Tests"]
+    assert titles == ["Install", "A first result", "A gate for CI", "Live", "Compare", "Several controllers", "Filters",
+                      "Nothing is decoded?", "More", "Tests"]
     links = re.findall(r"\]\(([^)]*)\)", README)
     assert len(links) == len(set(links))
 
