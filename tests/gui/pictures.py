@@ -20,8 +20,9 @@ def profile(folder):
     path = folder / "YAPP"
     shutil.copytree(gui.ROOT / "profiles/YAPP", path)
     graphs = path / "io_graphs"
-    filtered = re.sub(r'(?m)^("\w+","[^"]*"),"",', r'\1,"yapp.source == \\x22right\\x22",', graphs.read_text())
-    graphs.write_text(filtered)
+    graphs.write_text(graphs.read_text().replace('"!yapp.crc.bad"', r'"yapp.source == \x22right\x22"'))
+    recent = path / "recent"
+    recent.write_text(recent.read_text().replace("yapp.source, 165", "yapp.source, 80").replace("%t, 110", "%t, 90"))
     return path
 
 
@@ -105,6 +106,7 @@ def graph(wireshark, folder):
 
 
 def main(folder):
+    gui.HEIGHT = 620  # README's first screen has more than the picture
     recent = "gui.geometry_main_upper_pane: 210\n"
     options = [word for option in [*LAYOUT, f"yapp.sources:{NAMES}"] for word in ("-o", option)]
     with tempfile.TemporaryDirectory() as name, gui.Wireshark(

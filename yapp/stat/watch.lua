@@ -55,7 +55,7 @@ function M.new(options, context)
     summary = summary.new(options, context),
     faults = lists.new({ what = "faults" }, context),
     buses = buses.new(options, context),
-    raised = {}, -- by source: event of the latest fault that was raised
+    raised = {}, -- by source: event of the latest fault that was raised; of a message the first
     before = {}, -- by source: { count, at = of the latest message } at the latest tick
     must_stop = false, -- true if the next packet ends the run
     code = nil, -- the exit code, if `stop` ended it
@@ -71,7 +71,8 @@ function Watch:add_event(event)
   self.faults:add_event(event)
   self.buses:add_event(event)
   if event.kind == "fault" and event.values.event == "raised" then
-    self.raised[event.source] = event
+    local latest = self.raised[event.source]
+    if not (latest and latest.frame == event.frame) then self.raised[event.source] = event end
     self.must_stop = self.options.stop == "fault"
   end
 end
@@ -119,7 +120,8 @@ local function row_of(self, group, ending)
   local is_silent = every and age > self.context.settings.late * every
   local hz = rate_of(self, group)
   row.values.text = last.raws and message_type.info(last.raws)
-  row.hz, row.age = hz and tonumber(("%.4g"):format(hz)), output.seconds(age)
+  row.hz = hz and { value = tonumber(("%.4g"):format(hz)), text = ("%.1f"):format(hz) }
+  row.age = output.seconds(age)
   row.age.text = row.age.short .. (is_silent and " SILENT" or "")
   local has_faults, is_outside = add_faults(self, row, group), add_limit(self, row, group)
   row.is_red = is_silent or has_faults or is_outside
