@@ -9,11 +9,14 @@ It is the output of tshark -r NAME.pcap, with the options that NAME.frames names
 one line for each frame and one for each field of it, without flags that are not set.  Doubles are cut to seven digits
 and flags are 1, since versions print them differently.
 """
+import atexit
 import functools
+import itertools
 import pathlib
 import re
 import shutil
 import sys
+import xml.etree.ElementTree
 
 FOLDER = pathlib.Path(__file__).resolve().parent
 sys.path[:0] = [str(FOLDER), str(FOLDER.parent / "tests/e2e")]
@@ -121,48 +124,59 @@ def as_alone(frame, before):
             **{name: [str(int(one) - before) for one in frame[name]] for name in FRAME_NUMBERS if name in frame}}
 
 
+def takes_all(name):
+    return "yapp.all_extended:TRUE" in make.read(name).options
+
+
 @functools.lru_cache(None)
-def shown_together(names, passes, options):
-    """Captures in one run of tshark: {name: its frames}.  They come one after the other in one file, each from an
-    interface of its own."""
-    sources = [make.read(name) for name in names]
+def together(everything):
+    """Captures one after the other in one file, each from an interface of its own: its path, the options of all, and of each its
+    first frame, less one.  everything: those that need yapp.all_extended, or the others."""
+    sources = {name: make.read(name) for name in make.names() if takes_all(name) == everything}
     folder = tshark.writable_folder()
-    (folder / "together.pcapng").write_bytes(make.pcapng(*sources))
-    frames = shown(folder / "together.pcapng", *PASSES[passes], *options, also=["frame.interface_id", "sll.ifindex"])
-    shutil.rmtree(folder)
-    found, before = {}, 0
-    for name, source in zip(names, sources):
-        behind = before + len(source.packets)
-        found[name] = [as_alone(frame, before) for frame in frames if before < frame["frame"] <= behind]
-        before = behind
-    return found
+    atexit.register(shutil.rmtree, folder)
+    path = folder / "together.pcapng"
+    path.write_bytes(make.pcapng(*sources.values()))
+    options = [word for pair in dict.fromkeys(tuple(one.options) for one in sources.values()) for word in pair]
+    counts = itertools.accumulate((len(one.packets) for one in sources.values()), initial=0)
+    return path, options, dict(zip(sources, counts))
 
 
-def among_others(name, passes, options, is_right):
-    """What is shown of a capture, with these options.
+@functools.lru_cache(None)
+def shown_together(everything, passes):
+    """Captures in one run of tshark: {name: its frames}."""
+    path, options, firsts = together(everything)
+    frames = shown(path, *PASSES[passes], *options, also=["frame.interface_id", "sll.ifindex"])
+    return {name: [as_alone(frame, before) for frame in frames if before < frame["frame"] <= before + len(make.read(name).packets)]
+            for name, before in firsts.items()}
 
-    All captures whose texts name the same options are shown in one run; where the frames of this one are right among
-    the others', that is enough.  If not it is shown alone, and that counts: a first pass has no fields to tell the
-    interfaces apart, so it may take something from its neighbours.  In test-all each is shown alone."""
-    if not levels.ALL:
-        own = make.read(name).options
-        names = tuple(other for other in make.names() if make.read(other).options == own)
-        frames = shown_together(names, passes, tuple(options))[name]
-        if is_right(frames):
-            return frames
-    return shown(make.capture(name)[0], *PASSES[passes], *options)
+
+@functools.lru_cache(None)
+def trees_together(everything, passes):
+    path, options, _ = together(everything)
+    return xml.etree.ElementTree.fromstring(tshark.run(*PASSES[passes], "-r", path, *options, "-T", "pdml").stdout).findall("packet")
+
+
+def trees(name, passes="one pass"):
+    """The packets of a capture as PDML has them, among all others."""
+    before = together(takes_all(name))[2][name]
+    return trees_together(takes_all(name), passes)[before:before + len(make.read(name).packets)]
 
 
 @functools.lru_cache(None)
 def capture_shown(name, passes):
-    """What is shown of a capture of this folder, with the options that its text names."""
-    def is_right(frames):
-        if name in SWEPT:
-            return True
-        wanted, text = comparison(name, passes, frames)
-        return wanted == text
+    """What is shown of a capture of this folder, with the options that its text names.
 
-    return among_others(name, passes, make.read(name).options, is_right)
+    All captures are shown in few runs; where the frames of this one are right among the others', that is enough.  If not it is
+    shown alone, and that counts: a first pass has no fields to tell the interfaces apart, so it may take something from its
+    neighbours.  In test-all each is shown alone."""
+    options = make.read(name).options
+    if not levels.ALL:
+        frames = shown_together(takes_all(name), passes)[name]
+        wanted, text = ("", "") if name in SWEPT else comparison(name, passes, frames)
+        if wanted == text:
+            return frames
+    return shown(make.capture(name)[0], *PASSES[passes], *options)
 
 
 if __name__ == "__main__":

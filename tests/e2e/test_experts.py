@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Expert items: each has a capture, a display filter that finds exactly its frames, and a line in -z expert."""
+"""Expert items: each has a capture, and a display filter that finds exactly its frames."""
+import collections
 import json
 import pathlib
 import re
@@ -13,53 +14,54 @@ import published
 import tshark
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captures"))
+import expected  # noqa: E402
 import make  # noqa: E402
 
 pytestmark = [levels.by_route, levels.together("captures")]
 
-# Expert item, capture, its frames; its line in tshark -z expert: severity, text; and what stands in the tree of the
-# first of the frames, by the numbers and names of this packet.
+# Expert item, capture, its frames; severity, text; and what stands in the tree of the first of the frames, by the numbers and
+# names of this packet.
 EXPERTS = [
-    ("yapp.crc.bad", "bad_crc_can", [5], "Errors", "Bad CRC", "Calculated CRC: 0xc76fbebb"),
-    ("yapp.crc.bad", "bad_crc_uart", [1], "Errors", "Bad CRC", "Calculated CRC: 0xc76fbebb"),
-    ("yapp.fragment.orphan", "end_without_start", [1], "Warns", "Middle or End without a Start",
+    ("yapp.crc.bad", "bad_crc_can", [5], "Error", "Bad CRC", "Calculated CRC: 0xc76fbebb"),
+    ("yapp.crc.bad", "bad_crc_uart", [1], "Error", "Bad CRC", "Calculated CRC: 0xc76fbebb"),
+    ("yapp.fragment.orphan", "end_without_start", [1], "Warning", "Middle or End without a Start",
      "Middle or End without a Start"),
-    ("yapp.fragment.incomplete", "lost_middle", [4], "Warns", "Message with bytes missing",
+    ("yapp.fragment.incomplete", "lost_middle", [4], "Warning", "Message with bytes missing",
      "The message that started in frame 1 has 24 of 32 bytes"),
-    ("yapp.fragment.overrun", "overrun", [6], "Warns", "More bytes than the message's size",
+    ("yapp.fragment.overrun", "overrun", [6], "Warning", "More bytes than the message's size",
      "The message that started in frame 1 has 40 of 32 bytes"),
-    ("yapp.size.mismatch", "wrong_size", [1, 2, 3, 7, 8], "Warns", "Payload length is not the catalogue's",
+    ("yapp.size.mismatch", "wrong_size", [1, 2, 3, 7, 8], "Warning", "Payload length is not the catalogue's",
      "Payload: "),
-    ("yapp.id.unknown", "unknown_id", [1, 5], "Notes", "Message ID is not in the catalogue",
+    ("yapp.id.unknown", "unknown_id", [1, 5], "Note", "Message ID is not in the catalogue",
      "Message ID: Unknown (0x00000123)"),
-    ("yapp.reserved.nonzero", "reserved_nonzero", [1], "Warns", "Reserved bytes are not 0",
+    ("yapp.reserved.nonzero", "reserved_nonzero", [1], "Warning", "Reserved bytes are not 0",
      "Reserved: 0x1234"),
-    ("yapp.can.ctrl.invalid", "ctrl_4_to_15", list(range(1, 13)), "Warns", "CAN CTRL is not defined",
+    ("yapp.can.ctrl.invalid", "ctrl_4_to_15", list(range(1, 13)), "Warning", "CAN CTRL is not defined",
      "CAN frame: Unknown (4)"),
-    ("yapp.stream.skipped", "uart_shell", [1], "Notes", "Bytes that belong to no frame",
+    ("yapp.stream.skipped", "uart_shell", [1], "Note", "Bytes that belong to no frame",
      "Skipped bytes: 6c6f67696e3a20"),
-    ("yapp.truncated", "cut_middle", [3], "Warns", "The capture cut the packet short",
+    ("yapp.truncated", "cut_middle", [3], "Warning", "The capture cut the packet short",
      "The capture cut the packet short"),
-    ("yapp.late", "events", [8], "Warns", "A long gap before this message", "Silent for 0.500 s"),
-    ("taurus.fault.active", "info_column", [5], "Errors", "Fault flags are set",
+    ("yapp.late", "events", [8], "Warning", "A long gap before this message", "Silent for 0.500 s"),
+    ("taurus.fault.active", "info_column", [5], "Error", "Fault flags are set",
      "Fault Flags: 0x10010000 (motor_overcurrent, hall_timeout)"),
-    ("taurus.fault.raised", "events", [3, 4], "Errors", "A fault was raised",
+    ("taurus.fault.raised", "events", [3, 4], "Error", "A fault was raised",
      "Fault Flags raised: 0x00010000 (motor_overcurrent)"),
-    ("taurus.fault.cleared", "events", [5, 7], "Notes", "A fault was cleared",
+    ("taurus.fault.cleared", "events", [5, 7], "Note", "A fault was cleared",
      "Fault Flags cleared: 0x00010000 (motor_overcurrent)"),
-    ("taurus.reboot", "events", [7], "Warns", "Controller rebooted (its clock went back)", "Controller rebooted (its clock went back by 10.2 s)"),
-    ("taurus.stale", "events", [6], "Warns", "Controller clock did not advance", "Clock drift: -"),
-    ("taurus.command.key.invalid", "invalid_key", [1, 4], "Warns", "Key is not defined (the controller ignores this command)",
+    ("taurus.reboot", "events", [7], "Warning", "Controller rebooted (its clock went back)", "Controller rebooted (its clock went back by 10.2 s)"),
+    ("taurus.stale", "events", [6], "Warning", "Controller clock did not advance", "Clock drift: -"),
+    ("taurus.command.key.invalid", "invalid_key", [1, 4], "Warning", "Key is not defined (the controller ignores this command)",
      "Key: "),
-    ("taurus.value.special", "document_motor", [5], "Notes", "Reserved value: not a number, infinite or out of range",
+    ("taurus.value.special", "document_motor", [5], "Note", "Reserved value: not a number, infinite or out of range",
      "ESC Temperature: Not a Number (0)"),
-    ("taurus.flags.undefined", "fault_flags", [21, 29, 34], "Notes", "A bit is set that no table defines",
+    ("taurus.flags.undefined", "fault_flags", [21, 29, 34], "Note", "A bit is set that no table defines",
      "Undefined bits: 0x00080000"),
-    ("taurus.value.invalid", "undefined_values", [1, 2, 7], "Warns", "Value that is not defined", "Enabled: "),
+    ("taurus.value.invalid", "undefined_values", [1, 2, 7], "Warning", "Value that is not defined", "Enabled: "),
 ]
-KNOWN_LATER = [("yapp.unfinished", "unfinished", [8], "Warns", "Message cut off by the end of the capture"),
-               ("yapp.unfinished", "unfinished_uart", [3], "Warns", "Message cut off by the end of the capture"),
-               ("yapp.fragment.duplicate", "extra_middle", [4], "Notes", "Frame delivered twice")]
+KNOWN_LATER = [("yapp.unfinished", "unfinished", [8], "Warning", "Message cut off by the end of the capture"),
+               ("yapp.unfinished", "unfinished_uart", [3], "Warning", "Message cut off by the end of the capture"),
+               ("yapp.fragment.duplicate", "extra_middle", [4], "Note", "Frame delivered twice")]
 
 
 MOTOR = "FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000"  # up to the fault flags; the clock is at byte 22
@@ -112,31 +114,36 @@ def test_every_expert_item_has_a_capture():
     assert found == set(model.EXPERTS + model.EVENT_EXPERTS)
 
 
-def found_and_listed(name, capture, *passes):
-    """The frames that the filter finds, { number: tree }, and what -z expert lists, which the filter does not concern:
-    { severity: text }."""
-    path, options = make.capture(capture)[0], make.read(capture).options
-    done = tshark.run(*options, *passes, "-r", path, "-Y", name, "-O", "yapp,taurus", "-z", "expert")
-    section = r"(?m)^(\w+) \(\d+\)\n=+\n"
-    trees, *listed = re.split(section, done.stdout)
-    found = re.split(r"(?m)^Frame (\d+):", trees)[1:]
-    return {int(number): tree for number, tree in zip(found[::2], found[1::2])}, dict(zip(listed[::2], listed[1::2]))
+def found_and_shown(name, capture, passes):
+    """The frames of a capture with an expert item, and all texts of the first of them."""
+    having = [(number, packet) for number, packet in enumerate(expected.trees(capture, passes), 1)
+              if any(one.get("name") == name for one in packet.iter())]
+    return [number for number, _ in having], [one.get("showname") for _, packet in having[:1] for one in packet.iter()]
 
 
 @pytest.mark.parametrize("name, capture, frames, severity, text, label", EXPERTS)
-def test_filter_and_expert_list(name, capture, frames, severity, text, label):
-    found, listed = found_and_listed(name, capture)
-    assert list(found) == frames
-    counts = re.findall(rf"(?m)^ +(\d+) +\w+ +YAPP\w*  +{re.escape(text)}$", listed.get(severity, ""))
-    assert sum(map(int, counts)) >= len(frames), listed
-    assert label in found[frames[0]]
+def test_where_and_what(name, capture, frames, severity, text, label):
+    found, texts = found_and_shown(name, capture, "one pass")
+    assert found == frames
+    assert any(re.match(rf"Expert Info \({severity}/\w+\): {re.escape(text)}$", one or "") for one in texts)
+    first = expected.together(expected.takes_all(capture))[2][capture] + 1
+    assert any((one or "").startswith(label.replace("frame 1 ", f"frame {first} ")) for one in texts), texts
 
 
 @pytest.mark.parametrize("name, capture, frames, severity, text", KNOWN_LATER)
 def test_what_is_known_on_a_later_look(name, capture, frames, severity, text):
-    assert found_and_listed(name, capture)[0] == {}
-    found, listed = found_and_listed(name, capture, "-2")
-    assert list(found) == frames and re.search(rf"(?m)^ +1 +\w+ +YAPP\w*  +{re.escape(text)}$", listed[severity])
+    assert found_and_shown(name, capture, "one pass")[0] == []
+    found, texts = found_and_shown(name, capture, "-2")
+    assert found == frames and any(re.match(rf"Expert Info \({severity}/\w+\): {re.escape(text)}$", one or "") for one in texts)
+
+
+def test_filters_find_them():
+    """And no other frames."""
+    for everything in (False, True):
+        path, options, firsts = expected.together(everything)
+        rows = [(f"{name} && frame.number > {firsts[capture]} && frame.number <= {firsts[capture] + len(make.read(capture).packets)}",
+                 [firsts[capture] + frame for frame in frames]) for name, capture, frames, *_ in EXPERTS if capture in firsts]
+        tshark.assert_found(path, rows, *options)
 
 
 # Flags -----------------------------------------------------------------------------------------------------------
@@ -177,10 +184,8 @@ def test_one_message_has_one_item_of_each_kind_about_faults():
     """That they are set, raised, cleared; the item names the flags of all fields, above the values, with links to the
     changes before and behind."""
     flight = tshark.ROOT / "docs/flight.pcapng"
-    for name, count in (("active", 15), ("raised", 1), ("cleared", 1)):
-        rows = tshark.fields(flight, [f"taurus.fault.{name}"], "-Y", f"taurus.fault.{name}")
-        assert len(rows) == count
-        assert {row if isinstance(row, str) else row[0] for row in rows} == {"1"}
+    rows = tshark.fields(flight, [f"taurus.fault.{name}" for name in ("active", "raised", "cleared")])
+    assert [collections.Counter(column) for column in zip(*rows)] == [{"": len(rows) - count, "1": count} for count in (15, 1, 1)]
     text = tshark.run("-2", "-r", flight, "-Y", "frame.number in {719, 745, 908}", "-O", "taurus").stdout
     raised, between, cleared = text.split("Taurus Motor Data\n")[1:]
     lines = [line.strip() for line in raised.splitlines() if "Severity" not in line and "Group" not in line]
