@@ -56,9 +56,8 @@ STATISTICS = ["summary", "csv,-,motor", "check,json,motor.rate=0.5,motor.dc_volt
               "events,json"]
 
 
-@pytest.mark.parametrize("statistic", levels.few(STATISTICS, STATISTICS[:3]))
-def test_statistics(german, statistic):
-    arguments = ["-q", "-z", f"yapp,{statistic}"]
+def test_statistics(german):
+    arguments = ["-q", *(word for statistic in STATISTICS for word in ("-z", f"yapp,{statistic}"))]
     wanted = shown("can/events.pcap", {}, *arguments)
     assert wanted[1] == [] and "." in wanted[0]
     assert shown("can/events.pcap", german, *arguments) == wanted
