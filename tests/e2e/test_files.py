@@ -59,13 +59,12 @@ def test_table_has_every_file():
     assert {name for name, _ in table()} == {path.name for path in FOLDER.iterdir()} - {"make.py"}
 
 
-@pytest.mark.parametrize("passes", [[], ["-2"]], ids=len)
-def test_names_of_channels(passes):
+def test_names_of_channels():
     """ASC tells the channel; the bus of BLF is not known."""
-    blf = tshark.fields(FOLDER / "motor.blf", ["taurus.motor.dc_voltage", "yapp.bus"], *passes)
+    blf = tshark.fields(FOLDER / "motor.blf", ["taurus.motor.dc_voltage", "yapp.bus"], "-2")
     assert [row[1] for row in blf if row[0]] == ["", ""]
     rows = tshark.fields(FOLDER / "motor.asc", ["taurus.motor.dc_voltage", "yapp.bus", "yapp.source"], "-o",
-                         "yapp.sources:CAN-2/0x210=motor:right", *passes)
+                         "yapp.sources:CAN-2/0x210=motor:right")
     assert [row[1] for row in rows if row[0]] == ["CAN-1", "CAN-2"]
     left, right = [row[2] for row in rows if row[0]]
     assert left in ("0x210", "CAN-1 0x210") and right == "right"
@@ -121,7 +120,7 @@ def wrong_sum(packed):
     return packed[:-6] + bytes([packed[-6] ^ 1]) + packed[-5:]
 
 
-@pytest.mark.parametrize("damage, repeats", [(cut_off, 1), (overwritten, 1), (wrong_sum, 1), (cut_off, 30)])
+@pytest.mark.parametrize("damage, repeats", [(cut_off, 1), (overwritten, 1), (wrong_sum, 1), (cut_off, 8)])
 def test_buses_of_a_damaged_file(folder, damage, repeats):
     """Wireshark lets nobody read its last bytes but its own reader.  Large: the first bytes can be read."""
     flight = (tshark.ROOT / "docs/flight.pcapng").read_bytes()
@@ -139,7 +138,7 @@ def test_a_damaged_log(folder):
     """What can be read is shown, and that there was more."""
     path = folder / "run.log.gz"
     lines = (tshark.CAPTURES / "cases/c06_two_buses_truth.log").read_text().splitlines()
-    text = "".join(f"({1700000000 + i / 1000:.6f}) {lines[i % len(lines)].split(' ', 1)[1]}\n" for i in range(60000))
+    text = "".join(f"({1700000000 + i / 1000:.6f}) {lines[i % len(lines)].split(' ', 1)[1]}\n" for i in range(20000))
     path.write_bytes(cut_off(gzip.compress(text.encode(), 1)))
     done = tshark.run("-q", "-r", path, "-z", "yapp,check,motor.count=100", check=False, lua_errors=True)
     assert re.search("the file cannot be read behind byte|cut short", done.stderr) and done.returncode not in (0, 21)
