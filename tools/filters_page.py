@@ -71,7 +71,7 @@ def table(head, rows):
 
 def fields(text):
     """-> [(name, type, mask, title, description)] of the plugin, in the order in which it makes them."""
-    rows = [line.split("\t") for line in text.splitlines() if line.startswith("F\t")]
+    rows = [line.split("\t") for line in text.split("\n") if line.startswith("F\t") and ("\tyapp" in line or "\ttaurus" in line)]
     return [(row[2], row[3], int(row[6] or "0", 16), row[1], row[7].strip())
             for row in rows if row[4] in ("yapp", "taurus")]
 
@@ -79,7 +79,7 @@ def fields(text):
 def meanings(text):
     """-> { name: "0 Bad, 1 Good" }"""
     found = {}
-    for row in (line.split("\t") for line in text.splitlines() if re.match(r"V\t(yapp|taurus)\.", line)):
+    for row in (line.split("\t") for line in text.split("\n") if line.startswith(("V\tyapp.", "V\ttaurus."))):
         found.setdefault(row[1], []).append(f"{int(row[2], 0)} {row[3]}")
     return {name: ", ".join(texts) for name, texts in found.items()}
 

@@ -250,9 +250,13 @@ def test_shared_sources(folder, seed, passes):
     assert count > 100
 
 
+ALONE = model.CHANGE_EXPERTS + [name for name in FLAGS if name.startswith(tuple(ALARMED))] + LINKS + TIMES
+ONE_EACH = list({name.rpartition(".")[2]: name for name in reversed(ALONE)}.values())
+
+
 @levels.each_once
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
-@pytest.mark.parametrize("name", model.CHANGE_EXPERTS + [name for name in FLAGS if name.startswith(tuple(ALARMED))] + LINKS + TIMES)
+@pytest.mark.parametrize("name", levels.few(ALONE, ONE_EACH))
 def test_a_filter_alone(folder, name, passes):
     """Where nothing else is wanted of the tree, the history is asked for no more than that."""
     flight = flights.make(2)

@@ -294,11 +294,11 @@ def test_one_version():
         assert re.search(pattern, (tshark.ROOT / name).read_text(), re.MULTILINE)[1] == version, name
 
 
-@pytest.mark.parametrize("capture, shown", [
-    ("docs/first.pcapng", "motor_overcurrent +raised"),
-    ("test_captures/can/document_command.pcap", r"750\.8\d* RPM"),
-    (None, "No Taurus message"),
-])
+DEMOS = [("docs/first.pcapng", "motor_overcurrent +raised"), ("test_captures/can/document_command.pcap", r"750\.8\d* RPM"),
+         (None, "No Taurus message")]
+
+
+@pytest.mark.parametrize("capture, shown", levels.few(DEMOS, DEMOS[::2], several=True))
 def test_demo(folder, capture, shown):
     """The fault, a screen long, and what to do next; nothing is on stderr, and nothing stays behind."""
     if capture is None:  # a capture without a packet
