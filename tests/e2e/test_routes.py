@@ -13,7 +13,7 @@ import stream_captures
 import test_readme
 import tshark
 from test_files import DOCUMENT, PYTHON
-from test_recorders import CASES, events, motor_count
+from test_recorders import CASES, events
 
 SECTIONS = dict(re.findall(r"^### (.+?)\n(.*?)(?=^##)", DOCUMENT.read_text().split("## Convert other files")[1] + "\n##",
                            re.MULTILINE | re.DOTALL))
@@ -36,6 +36,11 @@ def run(folder, *lines):
 def python_can():
     done = subprocess.run([PYTHON, "-c", "import can; print(can.__version__)"], capture_output=True, text=True, check=True)
     return tuple(int(part) for part in done.stdout.split(".")[:2])
+
+
+def motor_count(path):
+    found = tshark.fields(path, ["taurus.motor.dc_voltage"])
+    return sum(1 for row in found if row[0])
 
 
 def changes(path):
