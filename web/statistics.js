@@ -3,7 +3,7 @@
 import { make } from "./dom.js";
 
 const KNOWN = ["kind", "ok", "rule", "time", "frame", "bus", "id", "source", "message"]; // columns that come first
-const SECONDS = /^(active|since|gap_min|gap_mean|gap_max)$/;
+const DIGITS = { active: 3, since: 3, length: 3, gap_min: 3, gap_mean: 3, gap_max: 3, rate: 2 }; // behind the point
 const MOST_ROWS = 5000; // of a table: more make the page slow
 const VERDICTS = { true: "ok", false: "FAILED", null: "NOT JUDGED" };
 const HELP = { check: "Rules, such as fault=0,motor.rate=9..11; empty: check everything", fault: "Its number, or frame=719" };
@@ -15,8 +15,8 @@ function text(key, value) {
   if (key === "ok") return VERDICTS[value];
   if (value === null || value === undefined) return "";
   if (key === "id") return `0x${value.toString(16)}`;
-  if (typeof value !== "number" || Number.isInteger(value) && !SECONDS.test(key)) return String(value);
-  return SECONDS.test(key) || key === "length" ? value.toFixed(3) : String(Number(value.toPrecision(6))); // of `skipped`, bytes
+  if (typeof value !== "number" || Number.isInteger(value) && !DIGITS[key]) return String(value);
+  return DIGITS[key] ? value.toFixed(DIGITS[key]) : String(Number(value.toPrecision(6)));
 }
 
 // The sources of a line of compare, the odd ones first: by how far their mean is from the median.
@@ -110,7 +110,7 @@ export class Statistics {
     if (keys.includes("kind")) { // of each kind other keys: they become one column
       rows = rows.map((row) => {
         const rest = Object.entries(row).filter(([key, value]) => !KNOWN.includes(key) && text(key, value) !== "");
-        return { ...row, details: rest.map(([key, value]) => `${key.replaceAll("_", " ")} ${text(key, value)}`).join(", ") };
+        return { ...row, details: rest.map(([key, value]) => `${key.replaceAll("_", " ")} ${text(row.kind === "skipped" ? "" : key, value)}`).join(", ") };
       });
       keys = [...KNOWN.filter((key) => keys.includes(key)), "details"];
     }

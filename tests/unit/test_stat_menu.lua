@@ -48,9 +48,11 @@ function T.test_rows_are_printed()
   output.print(context, "YAPP", columns, rows, { "what is left out" })
   context.json = true
   output.print(context, "YAPP", columns, rows, { "what is left out" })
+  context.frames = {} -- of a window
+  output.print(context, "YAPP faults: 1", columns, rows, { "what is left out" })
   lu.assertEquals(table.concat(said), "YAPP\nwhat is left out\n\n" ..
     "since start/s  ID   frame\n     0.500000  0x9      3\n" ..
-    '{"id":9,"frame":3}\n')
+    '{"id":9,"frame":3}\nYAPP faults: 1\n{"id":9,"frame":3}\n')
 end
 
 return T

@@ -296,7 +296,8 @@ function M.table(context, columns, rows)
   end
 end
 
---- Print rows: for people under a title and the notes, or as a JSON object a line.
+--- Print rows: for people under a title and the notes, or as a JSON object a line; in a window
+-- under the title, too.
 -- context  { out = function(text), json = true if so, frames = in a window a list that gets the
 --          frames of the rows, else nil }
 -- columns  of M.columns; a row may have keys of its own for its line of JSON, row.keys
@@ -310,6 +311,7 @@ function M.print(context, title, columns, rows, notes)
     out("\n")
     return M.table(context, columns, rows)
   end
+  if context.frames then out(title .. "\n") end
   for _, row in ipairs(rows) do
     out(M.object(row.keys or columns.json, row).json .. "\n")
   end

@@ -13,6 +13,8 @@ local MAX_FRAMES = 1000 -- in a display filter: more make Wireshark slow
 
 local MAX_SECONDS = 1 -- of reading: a window that takes longer is not refreshed by itself
 local OLD = "More packets have come: press Refresh\n\n"
+-- New folders begin like this: Lua does not know that of the capture.
+local FOLDER = (os.getenv("HOME") or os.getenv("USERPROFILE") or ".") .. "/yapp-"
 local DECODE = "Decode unknown IDs by size"
 local ADVICE = ". Tools > YAPP > " .. DECODE .. " decodes them"
 local DECODED = "yapp.%s was %s, and is now\n  %s\n"
@@ -60,11 +62,6 @@ Columns, colours, filter buttons and graphs: the profile YAPP, at the
 right of the status bar.  README.md and the folder docs of this plugin's
 files have more.
 ]]
-
--- Return a path for a new folder of the user's: Lua does not know that of the capture.
-local function default_path(name)
-  return (os.getenv("HOME") or os.getenv("USERPROFILE") or ".") .. "/yapp-" .. name
-end
 
 local function show_frames(frames)
   if not frames[1] then
@@ -179,7 +176,7 @@ function M.register(stat)
     end
     register_menu("YAPP/" .. row.title, function()
       if not row.ask then return show(argument) end
-      local default = row.file and default_path(row.file) or ""
+      local default = row.file and FOLDER .. row.file or ""
       new_dialog("YAPP " .. row.title, on_answer, { name = row.ask, value = default })
     end, MENU_TOOLS_UNSORTED)
   end
