@@ -18,7 +18,7 @@ import tshark
 from can_generator import Frame, Sent
 
 RECIPE = next(line.strip() for line in (tshark.ROOT / "docs/rules.md").read_text().splitlines()
-              if line.startswith("    tshark -q -r run.pcapng"))
+              if line.startswith("    tshark -q -r docs/flight.pcapng")).replace("docs/flight", "run")
 MOTOR, OTHER = 0x210, 0x310
 CAPTURES = tshark.CAPTURES
 BEGIN = 1_700_000_000_000_000_000

@@ -53,6 +53,7 @@ def shell(folder, command, *arguments):
 @pytest.fixture
 def flight(folder):
     FLIGHT.write(folder / "flight.pcapng", "pcapng")
+    (folder / "docs").symlink_to(folder)
     return folder
 
 

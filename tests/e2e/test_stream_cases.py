@@ -344,8 +344,10 @@ def test_commands_of_the_page(folder):
     """Each command finds the messages; those that do not are the two that record."""
     for name, case in FILES.items():
         shutil.copy(CASES / case, folder / name)
-    (folder / "uart.yapp").write_bytes(b"".join(data for _, data in flight()))
     data = b"".join(data for _, data in flight())
+    dump = folder / "test_captures/serial/dump_document.yapp"
+    dump.parent.mkdir(parents=True)
+    dump.write_bytes(data)
     parts = [(0.1 * at / 48, Packet(data[at:at + 20], Origin(201, 0, 0))) for at in range(0, len(data), 20)]
     written(folder, parts, bluetooth, "ble.pcapng")
     log = (tshark.CAPTURES / "candump/candump_log_plain.log").read_text()
