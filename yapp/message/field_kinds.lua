@@ -72,19 +72,27 @@ function M.text(field, raw)
   return format(field.shape or "%.0f", value) -- COMPAT 5.2: tostring has 14 digits
 end
 
+local OPERATORS = {
+  ["*"] = function(a, b) return a * b end,
+  ["-"] = function(a, b) return a - b end,
+  ["+"] = function(a, b) return a + b end,
+}
+
 --- By field or generated value: function(raws) -> its value as a number: in its unit, a time in
 -- seconds, flags and codes as they are sent; NaN where that is none, such as a reserved value.
 M.reader = memo(function(field)
-  local index, number = field.index, field.number
+  local index, number, operate = field.index, field.number, OPERATORS[field.operator]
   if number then -- of a compressed float, the usual one
     return function(raws) return raws[index] and number(raws[index]) or NO_NUMBER end
+  elseif operate then
+    local a, b = M.reader[field.a], M.reader[field.b]
+    return function(raws)
+      local value = operate(a(raws) + 0.0, b(raws) + 0.0) -- COMPAT 5.4: integers wrap around
+      return value - value == 0 and value or NO_NUMBER
+    end
   end
-  return function(raws)
-    local raw = raws
-    if index then raw = raws[index] end
-    -- Of 64 bits the value is a text, where a double is not exact.
-    return tonumber((M.value(field, raw))) or NO_NUMBER
-  end
+  -- Of 64 bits the value is a text, where a double is not exact.
+  return function(raws) return tonumber((M.value(field, raws[index]))) or NO_NUMBER end
 end)
 
 --- Return whether a field, or a generated value, has numbers that are no codes.
@@ -101,12 +109,6 @@ end
 local function read_bytes(field, payload)
   return payload:sub(field.offset + 1, field.offset + field.size)
 end
-
-local OPERATORS = {
-  ["*"] = function(a, b) return a * b end,
-  ["-"] = function(a, b) return a - b end,
-  ["+"] = function(a, b) return a + b end,
-}
 
 --- By the name of the kind:
 --   filter   Wireshark's type of its filter; UINT and INT without the width
@@ -199,11 +201,8 @@ M.BY_NAME = {
   derived = {
     column = "float",
     value = function(item, raws)
-      local a, b = M.value(item.a, raws[item.a.index]), M.value(item.b, raws[item.b.index])
-      if not (a and b) then return nil end
-      -- COMPAT 5.4: products of integers wrap around
-      local value = OPERATORS[item.operator](a + 0.0, b + 0.0)
-      return value - value == 0 and value or nil
+      local value = M.reader[item](raws)
+      return value == value and value or nil
     end,
     is_number = true,
   },
