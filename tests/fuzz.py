@@ -4,7 +4,7 @@
 
 Takes the random captures of the soak tests, flights and the captures of test_captures, damages them, and shows each file to tshark and sharkd in several ways: one pass, two passes, all of the tree, fields,
 filters, statistics, frames at random.  A way fails on a Lua error, a crash, more than its time or its memory.
-What fails is made small, kept in test_captures/fuzz and replayed by tests/e2e/test_fuzz_findings.py.
+What fails is kept in test_captures/fuzz, to be made small by hand, and replayed by tests/e2e/test_fuzz_findings.py.
 
 The same seed makes the same files and calls on each Wireshark, as long as test_captures has the same files; what editcap
 damages depends on its version.  Only the frames that tshark read count, and each once, however often it was shown.
@@ -289,11 +289,9 @@ def make(seed, number):
 OURS = re.compile(r"(yapp|taurus|_ws\.lua)[.\w]*")
 
 
-def show_file(capture, way, folder, installed=False, units=None, arguments=None):
-    path = folder / f"fuzz{capture.suffix}"
-    capture.write(path, units)
-    frames = len(capture.units if units is None else units)
-    groups = capture.arguments if arguments is None else arguments
+def show_file(capture, way, folder, installed=False):
+    path, groups, frames = folder / f"fuzz{capture.suffix}", capture.arguments, len(capture.units)
+    capture.write(path)
     run = Run(path, groups, way, frames, installed=installed)
     if run.problem and re.match("crash|hang|exit|memory", run.problem):
         # Wireshark alone does the same: not our fault, but told.
@@ -325,46 +323,15 @@ def one_file(seed, number):
 
 # Findings ----------------------------------------------------------------------------------------------------------
 
-def reduce(capture, way, installed, wanted, attempts=300, seconds=600):
-    """The units and arguments that are left when nothing more can go without losing the problem, or time is up."""
-    folder = tshark.writable_folder()
-    deadline = time.monotonic() + seconds
-
-    def still(units, arguments):
-        nonlocal attempts
-        attempts = attempts - 1 if time.monotonic() < deadline else 0
-        problem = show_file(capture, way, folder, installed, units, arguments).problem
-        return problem is not None and signature(problem) == wanted
-
-    units, arguments = capture.units, capture.arguments
-    size = len(units) // 2
-    while size and attempts > 0:
-        at = 0
-        while at < len(units) and attempts > 0:
-            fewer = units[:at] + units[at + size:]
-            if still(fewer, arguments):
-                units = fewer
-            else:
-                at += size
-        size //= 2
-    for group in list(arguments):
-        fewer = [one for one in arguments if one is not group]
-        if attempts > 0 and still(units, fewer):
-            arguments = fewer
-    shutil.rmtree(folder, ignore_errors=True)
-    return units, arguments
-
-
 def keep(seed, number, problem, way):
-    """Makes a finding small and keeps it: its file, the call that shows it, the number of units left."""
-    capture, _, installed = make(seed, number)
-    units, arguments = reduce(capture, way, installed, signature(problem))
+    """Keeps a finding: its file, and the call that shows it."""
+    capture, *_ = make(seed, number)
     name = hashlib.sha1(signature(problem).encode()).hexdigest()[:8]
     path = FINDINGS / f"{name}{capture.suffix}"
-    capture.write(path, units)
-    words = [word for group in arguments for word in group]
+    capture.write(path)
+    words = [word for group in capture.arguments for word in group]
     path.with_suffix(".args").write_text(f"# {problem}\n{shlex.join(words)}\n{shlex.join(way)}\n")
-    return path, shlex.join([*words, "-r", path.name, *way]), len(units)
+    return path, shlex.join([*words, "-r", path.name, *way])
 
 
 AS_FOUND = []
@@ -420,8 +387,8 @@ def run(seed, least, jobs):
             if signature(problem) not in known and len(known) < 10:
                 known.add(signature(problem))
                 print(f"fuzz: file {number} of seed {seed}: {problem}", flush=True)
-                path, command, left = keep(seed, number, problem, way)
-                print(f"fuzz: made small, {left} units: {path}\n      {command}", flush=True)
+                path, command = keep(seed, number, problem, way)
+                print(f"fuzz: kept: {path}\n      {command}", flush=True)
         for problem in others:
             print(f"fuzz: file {number} of seed {seed}: Wireshark alone too: {problem}", flush=True)
         if time.monotonic() - shown > 15:

@@ -28,8 +28,8 @@ class Capture:
     def __init__(self, suffix, head, units, arguments):
         self.suffix, self.head, self.units, self.arguments = suffix, head, units, arguments
 
-    def write(self, path, units=None):
-        path.write_bytes(self.head + b"".join(self.units if units is None else units))
+    def write(self, path):
+        path.write_bytes(self.head + b"".join(self.units))
         path.chmod(0o644)
 
 

@@ -141,8 +141,3 @@ def test_colours(home, folder):
         assert rule in rows[:len(source.packets)], rule
         del rows[:len(source.packets)]
     assert rows == []
-
-
-# Colours ---------------------------------------------------------------------------------------------------------------
-
-

@@ -19,7 +19,6 @@ COMMAND = bytes.fromhex("015A014F80F380")
 MOTOR = bytes(range(1, 33))
 EVERY_PASS = [(), ("-2",), ("-2", "-R", "frame"), ("-2", "-Y", "frame"), ("-Y", "frame")]
 PASSES = levels.few(EVERY_PASS, EVERY_PASS[:3])
-ONE_PASS = [(), ("-Y", "frame")]  # a first pass of two has no fields, and what is not known to be a remote frame is data
 NAMED = [(), ("can.id",), ("can.flags.xtd",), ("can.id", "can.flags.xtd"), ("can.len",), ("frame.interface_id",)]
 
 
@@ -50,16 +49,6 @@ def test_fields_that_are_named_change_nothing(passes, named, folder):
     ids = ["0x00000000", "", "", "0x00000000"] + ["0x00000210"] * 5 + ["0x00000123"] * 5 + ["", ""]
     assert [row[0] for row in rows] == ids
     assert [at for at, row in enumerate(rows) if row[1] == "1"] == [8, 13]
-
-
-@pytest.mark.parametrize("passes", ONE_PASS, ids=" ".join)
-def test_remote_frames_in_a_message_of_zeros(passes, folder):
-    """All of it may be remote frames; only the flag tells."""
-    zeros = Sent(0x210, 0, 0, bytes(32)).frames()
-    frames = [*zeros[:2], remote(zeros[1].can_id, 8), zeros[2], zeros[3], remote(zeros[4].can_id, 8), zeros[4]]
-    rows = shown(written(folder, frames), "yapp.id", "yapp.crc.status", "yapp.fragment", passes=passes, named=tshark.tells_remote())
-    assert [at for at, row in enumerate(rows, 1) if not row[0]] == [3, 6]
-    assert rows[6][1:] == ["1", "1,2,4,5,7"]
 
 
 def stray_end(buses):

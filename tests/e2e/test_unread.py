@@ -7,7 +7,6 @@ import subprocess
 
 import pytest
 
-import levels
 import model
 import tshark
 

@@ -6,7 +6,7 @@
 // YAPP's and Taurus' trees, statistics, filters.  YAPP_VIEWER_LEVEL=all: every capture and filter; 2/8: the second of
 // eight parts of them; else twenty captures.
 import assert from "node:assert/strict";
-import { existsSync, mkdtempSync, readFileSync, truncateSync, writeFileSync } from "node:fs";
+import { existsSync, mkdtempSync, readFileSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { basename, dirname, join } from "node:path";
 import { test } from "node:test";
@@ -136,27 +136,6 @@ test("a filter that is none says why; fields complete; faults before and after a
   const fault = "taurus.fault.raised || taurus.fault.cleared";
   assert.deepEqual([[0, 1], [719, 1], [908, 1], [908, -1], [719, -1]].map(([from, step]) => engine.neighbour(fault, from, step)),
     [719, 908, undefined, 719, undefined]);
-});
-
-// Buses behind the first 64 KB: without gui_enabled they would be lost.
-test("two buses in more than 64 KB keep their faults apart", async () => {
-  const path = captures.find((one) => basename(one) === "g5_two_escs_one_id.pcapng") ?? FLIGHT;
-  const engine = await engineFor();
-  open(engine, FLIGHT);
-  assert.ok(readFileSync(FLIGHT).length > 65536 && path);
-  const buses = new Set(readAnswer(engine.statistic("yapp,events,json")).lines.filter(({ frame }) => frame > 1365).map(({ bus }) => bus));
-  const wanted = tshark(FLIGHT, ["-q", "-z", "yapp,events,json"]).lines.map((line) => JSON.parse(line));
-  assert.deepEqual(buses, new Set(wanted.filter(({ frame }) => frame > 1365).map(({ bus }) => bus)));
-});
-
-test("a capture that is cut opens as far as it goes, and says so", async () => {
-  const folder = mkdtempSync(join(tmpdir(), "viewer-")), cut = join(folder, "cut.pcapng");
-  writeFileSync(cut, readFileSync(FLIGHT));
-  truncateSync(cut, 40001);
-  const engine = await engineFor(), opened = open(engine, cut);
-  assert.match(opened.damage, /in the middle of a packet/);
-  assert.equal(engine.rows("", 0, 1).matched, opened.count);
-  assert.ok(opened.count > 500 && opened.count < 1483);
 });
 
 test("what is no capture is refused with a reason", async () => {
