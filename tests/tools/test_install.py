@@ -28,7 +28,7 @@ def test_install_check_uninstall(command, tmp_path):
     (tmp_path / plugin / "taurus_fields.lua").write_text("return {}")
     kept = command("uninstall")
     assert kept.returncode == 0
-    assert "you changed it" in kept.stdout
-    assert files(tmp_path) == {plugin + "taurus_fields.lua"}
+    assert "taurus_fields.lua.old" in kept.stdout
+    assert files(tmp_path) == {plugin + "taurus_fields.lua.old"}
     assert command("uninstall", "--purge").returncode == 0
     assert files(tmp_path) == set()

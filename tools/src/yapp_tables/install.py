@@ -4,20 +4,18 @@
 
     install.py                      install, or bring an installation up to date, and check it
     install.py check                only check: what is there, and what is wrong with it
-    install.py uninstall            remove what was installed and is unchanged
-    install.py uninstall --purge    remove all of it, also what you changed
+    install.py uninstall            remove it
+    install.py uninstall --purge    remove it, and what you changed
 
-The installer never loses a file that you edited: it stays, and the new version lies beside it as NAME.new.
-installed.json, in the plugin's folder, has the hashes of what was installed.
+The installer never loses a file that you edited: it stays beside the new one as NAME.old.
 Python 3.7 or later without other packages; Linux, macOS and Windows.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
+import contextlib
 import importlib
-import json
 import os
 import re
 import shutil
@@ -28,7 +26,7 @@ from pathlib import Path
 
 IS_ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
 OLDEST, NOT_AS_ROOT = (4, 0), (4, 4)  # Wireshark
-WIRESHARKS = "recent"  # of a profile: Wireshark writes the positions of windows into it at every exit
+WIRESHARKS = ("recent", "preferences")  # of a profile: Wireshark writes them, so ours are for the first time only
 
 
 class Problem(Exception):  # noqa: N818
@@ -111,98 +109,43 @@ def wanted_files(source: Path, wireshark: Wireshark) -> dict[Path, bytes]:
     return files
 
 
-class Installation:
-    """What is installed. hashes: {path: SHA-256 of this version's file}; folders: those that were made for it."""
-
-    def __init__(self, wireshark: Wireshark) -> None:
-        """Read the list that an installation leaves behind, where there is one."""
-        self.wireshark, self.target, self.profile = wireshark, wireshark.target, wireshark.profile
-        self.list = self.target / "installed.json"
-        try:
-            content = json.loads(self.list.read_text(encoding="utf-8")) if self.list.is_file() else {}
-            self.hashes = {Path(path): value for path, value in content.get("files", {}).items()}
-            self.folders = [Path(path) for path in content.get("folders", [])]
-        except (ValueError, AttributeError) as problem:
-            raise Problem(f"{self.list} is damaged; remove it, then every file counts as changed") from problem
-        self.known = set(self.hashes.values())
-
-    def is_edited(self, path: Path) -> bool:
-        """Return whether there is something that no installation left."""
-        if path.is_symlink() or not path.is_file():
-            return os.path.lexists(path)
-        return digest(path.read_bytes()) not in self.known
-
-    def write(self, path: Path, content: bytes) -> None:
-        """Write a file of ours, whole or not at all."""
-        self.folders += [each for each in path.parents if not each.exists() and each not in self.folders]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        new = path.with_name(path.name + ".part")
-        new.write_bytes(content)
-        new.chmod(0o755 if path.parent == self.wireshark.extcap else 0o644)
-        os.replace(str(new), str(path))
-        self.hashes[path] = digest(content)
-
-    def remove(self, path: Path) -> None:
-        """Remove a file that is as it was installed."""
-        if self.hashes.pop(path, None) and path.is_file() and not self.is_edited(path):
-            path.unlink()
-
-    def install(self, files: dict[Path, bytes]) -> None:
-        """Bring the files up to date, and remove those of an earlier version; an edited one stays."""
-        for path in sorted(set(self.hashes) - set(files)):
-            if path.suffix != ".new" or path.with_suffix("") not in files:
-                self.remove(path)
-        for path, content in files.items():
-            beside, now = path.with_name(path.name + ".new"), digest(content)
-            self.known.add(now)
-            if path.name == WIRESHARKS and os.path.lexists(path):  # ours is for the first time only
-                continue
-            if not self.is_edited(path):
-                self.write(path, content)
-                self.remove(beside)
-                continue
-            is_new = self.hashes.get(path) != now
-            say("kept", f"{path}: you changed it{f'; the new one is beside it, {beside.name}' if is_new else ''}")
-            if is_new:
-                self.write(beside, content)
-            self.hashes[path] = now
-        self.remove_folders()
-        made = [str(folder) for folder in self.folders if folder.is_dir()]
-        listed = {"files": {str(path): value for path, value in self.hashes.items()}, "folders": made}
-        self.list.write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
-
-    def uninstall(self, purge: bool) -> None:
-        """Remove what is as it was installed, or all of it, and say what is gone and what is kept."""
-        ports = sorted(self.wireshark.extcap.glob("yapp_extcap.*"))
-        places = list(filter(os.path.lexists, (*ports, self.profile, self.target)))
-        for path in [*self.hashes]:
-            self.remove(path)
-        left = list(self.profile.glob("*"))
-        for path in [self.list, *(left if [path.name for path in left] == [WIRESHARKS] else ())]:
-            if path.is_file():
-                path.unlink()
-        for path in filter(os.path.lexists, places if purge else ()):
-            shutil.rmtree(str(path)) if path.is_dir() and not path.is_symlink() else path.unlink()
-        self.remove_folders()
-        kept = list(filter(os.path.lexists, places))
-        for path in (each for place in kept for each in (place, *place.rglob("*")) if not each.is_dir()):
-            say("kept", f"{path}: you changed it, or it is not of this installation")
-        for path in (place for place in places if place not in kept):
-            say("removed", path)
-        if kept:
-            say("note", "uninstall --purge removes what is kept, too")
-
-    def remove_folders(self) -> None:
-        """Remove the folders of ours that are empty, deepest first."""
-        inside = (each for folder in (self.target, self.profile) for each in (folder, *folder.rglob("*")))
-        for folder in sorted({*inside, *self.folders}, key=lambda folder: -len(folder.parts)):
-            if folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir()):
-                folder.rmdir()
+def remove(path: Path, content: bytes | None) -> None:
+    """Remove a file. If it has another content than this, it stays as NAME.old; None removes whatever is there."""
+    if content is not None and os.path.lexists(path) and (path.is_symlink() or path.read_bytes() != content):
+        old = path.with_name(path.name + ".old")
+        os.replace(path, old)
+        say("kept", f"{old}: yours, or of another version")
+    elif os.path.lexists(path):
+        path.unlink()
 
 
-def digest(content: bytes) -> str:
-    """Return the hash of a file."""
-    return hashlib.sha256(content).hexdigest()
+def install(wireshark: Wireshark, files: dict[Path, bytes]) -> None:
+    """Write the files. Those that Wireshark writes itself stay as they are."""
+    for path, content in files.items():
+        if path.name not in WIRESHARKS or not path.exists():
+            remove(path, content)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+            path.chmod(0o755 if path.parent == wireshark.extcap else 0o644)
+    for name in ("target", "extcap", "profile"):
+        say("installed", getattr(wireshark, name))
+
+
+def uninstall(wireshark: Wireshark, files: dict[Path, bytes], purge: bool) -> None:
+    """Remove the files, and the folders that are empty then; purge: also what is not of this installation."""
+    for path, content in files.items():
+        remove(path, None if purge or path.name == "recent" else content)
+        if purge:
+            remove(path.with_name(path.name + ".old"), None)
+    for folder in (wireshark.extcap, wireshark.profile, wireshark.target):
+        if purge and folder != wireshark.extcap:
+            shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(OSError):  # it is not empty
+            os.removedirs(folder if folder.exists() else folder.parent)
+    left = [folder for folder in (wireshark.profile, wireshark.target) if folder.exists()]
+    for folder in left:
+        say("kept", f"{folder}: uninstall --purge removes it, too")
+    print("Everything else is removed." if left else "Everything is removed.")
 
 
 def real(path: object) -> str:
@@ -210,8 +153,8 @@ def real(path: object) -> str:
     return os.path.normcase(os.path.realpath(str(path)))
 
 
-def refuse_to_install(source: Path, wireshark: Wireshark) -> None:
-    """Raise Problem where an installation would do harm."""
+def refuse(source: Path, wireshark: Wireshark) -> None:
+    """Raise Problem where it would do harm to install or to uninstall."""
     if os.environ.get("SUDO_USER") and IS_ROOT:
         raise Problem("run it without sudo: everything goes into the home of the user who runs Wireshark")
     if any((real(source) + os.sep).startswith(real(folder) + os.sep) for folder in wireshark.plugin_folders):
@@ -228,7 +171,7 @@ def problems(source: Path, wireshark: Wireshark) -> Iterator[str]:
     if not entry.is_file():
         yield f"nothing is installed in {wireshark.target}"
     elif plugin_version(entry) != own:
-        yield f"{entry} is version {plugin_version(entry)}, this is {own}: install it again, or take the .new one"
+        yield f"{entry} is version {plugin_version(entry)}, this is {own}: install it again"
     if not (wireshark.extcap / "yapp_extcap.py").is_file():
         say("note", f"no live ports in {wireshark.extcap}: install it again")
     elif os.name != "nt" and not shutil.which("python3"):
@@ -258,22 +201,15 @@ def run(what: str, purge: bool = False) -> int:
     """Do one of install, check and uninstall. Return the exit code."""
     found = []
     try:
-        wireshark = Wireshark()
-        if what == "uninstall" and not (wireshark.target.exists() or purge):
-            print(f"Nothing is installed in {wireshark.target}")
-        elif what == "uninstall":
-            Installation(wireshark).uninstall(purge)
+        wireshark, source = Wireshark(), source_folder()
+        if what != "check":
+            refuse(source, wireshark)
+            files = wanted_files(source, wireshark)
+        if what == "uninstall":
+            uninstall(wireshark, files, purge)
         else:
-            source = source_folder()
             if what == "install":
-                refuse_to_install(source, wireshark)
-                Installation(wireshark).install(wanted_files(source, wireshark))
-                for name, place in (
-                    ("plugin", wireshark.target),
-                    ("extcap", wireshark.extcap),
-                    ("profile", wireshark.profile),
-                ):
-                    say(name, place)
+                install(wireshark, files)
             found = list(problems(source, wireshark))
             if what == "install" and not found:
                 first = source / "docs/first.pcapng"
@@ -292,8 +228,6 @@ def main() -> int:
     parser.add_argument("what", nargs="?", choices=("install", "check", "uninstall"), default="install")
     parser.add_argument("--purge", action="store_true", help="with uninstall: what you changed, too")
     given = parser.parse_args()
-    if given.purge and given.what != "uninstall":
-        parser.error("--purge goes with uninstall")
     code = run(given.what, given.purge)
     if os.name == "nt" and len(sys.argv) == 1 and sys.stdin.isatty():
         input("Enter closes this window.")  # it was a double click, most likely
