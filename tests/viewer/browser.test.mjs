@@ -79,7 +79,7 @@ for (const form of ["http", "file"]) {
   });
 
   test(`${form}: keys, names, a user's file, one that is cut, one that is none`, async () => {
-    const page = await visit(`${form === "http" ? http : DISK}#yapp.sources=${encodeURIComponent("0x210=motor:<img src=x onerror=alert(1)>")}`);
+    const page = await visit(`${form === "http" ? http : DISK}#yapp.sources=${encodeURIComponent("0x210=motor:<img src>")}`);
     const cut = join(scratch, "<b>cut.pcapng");
     writeFileSync(cut, readFileSync(join(TOP, "docs/flight.pcapng")).subarray(0, 40001));
     await page.setInputFiles("#file", cut);
@@ -87,9 +87,9 @@ for (const form of ["http", "file"]) {
     await page.press("#list", "End");
     await page.waitForSelector(".row.chosen");
     await page.press("#list", "ArrowUp");
-    await page.waitForSelector('.row:has-text("<img src=x")');
+    await page.waitForSelector('.row:has-text("<img src>")');
     await page.click('#statistics button:has-text("Summary")');
-    await page.waitForSelector('#answer td:has-text("<img src=x")');
+    await page.waitForSelector('#answer td:has-text("<img src>")');
     assert.match(await page.textContent("#answer .note"), /in the middle of a packet/);
     assert.equal(await page.locator("img, b").count(), 0);
     await page.setInputFiles("#file", readdirSync(join(TOP, "test_captures/other")).filter((name) => name.endsWith(".zst"))
