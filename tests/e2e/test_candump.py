@@ -121,7 +121,7 @@ def log_text(count, buses):
     return "".join(lines)
 
 
-LINES = levels.size(8000, 20000)
+LINES = levels.size(4000, 20000)
 LARGE = {
     "two buses": log_text(LINES, lambda i: i % 2),
     "one bus": log_text(LINES, lambda i: 0),

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Recorders that hold messages twice: each counts once, and so does its fault."""
+import functools
 import json
 import random
+import shutil
 import struct
 
 import pytest
@@ -70,17 +72,25 @@ def doubled(text, seed, how, share):
     return "".join(line + "\n" for _, line in sorted(lines, key=lambda row: row[0]))
 
 
+@functools.lru_cache(None)
+def of_once(flight):
+    """The candump log of a flight, and what summary and faults have of it."""
+    folder = tshark.writable_folder()
+    flight.write(folder / "single.log", "candump")
+    found = (folder / "single.log").read_text(), *summary_and_faults(folder / "single.log", *flight.arguments("candump"))[:2]
+    shutil.rmtree(folder)
+    return found
+
+
+@levels.together("copies")
 @pytest.mark.parametrize("how, share", [("frames", 1), ("later frames", 1), ("messages", 1), ("messages", 0.2)])
 def test_a_flight_that_was_recorded_twice(folder, how, share):
     """The summary is that of the flight, copies apart, and so are the faults of one with faults."""
     for flight, seed in ((FLIGHT, 1), (FAULTY, 2))[:1 if "frames" in how else 2]:
-        single, path = folder / "single.log", folder / "twice.log"
-        flight.write(single, "candump")
-        path.write_text(doubled(single.read_text(), seed, how, share))
-        arguments = flight.arguments("candump")
+        text, once, faults = of_once(flight)
+        (folder / "twice.log").write_text(doubled(text, seed, how, share))
         keys = ("bus", "id", "count", "crc_bad", "incomplete") if flight is FLIGHT else ("bus", "id", "count", "reboots", "late")
-
-        (once, faults, _), (twice, found, _) = (summary_and_faults(capture, *arguments) for capture in (single, path))
+        twice, found, _ = summary_and_faults(folder / "twice.log", *flight.arguments("candump"))
 
         def compared(rows):  # a Command that came before any message with a clock had a copy counts twice
             return [[row[key] for key in keys] for row in rows if row["message"] != "command"]

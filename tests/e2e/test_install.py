@@ -52,8 +52,8 @@ def test_plugin_folder(home):
     assert load(home) == []
 
 
-PLACES = [("a-b+c (copy) 100%", "{}/yapp.lua"), ("grün", "{}/yapp.lua"), ("one;two", "{}/yapp.lua"), ("one?two", "{}/yapp.lua"),  # package.path
-          ("plugin", "plugin/yapp.lua"), ("other/plugin", "./other/../other/plugin/yapp.lua")]
+PLACES = [("a-b+c (copy) 100% grün", "{}/yapp.lua"), ("one;two?three", "{}/yapp.lua"), ("plugin", "plugin/yapp.lua"),
+          ("other/plugin", "./other/../other/plugin/yapp.lua")]
 
 
 @pytest.mark.parametrize("name, path", PLACES)

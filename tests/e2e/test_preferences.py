@@ -79,7 +79,7 @@ def test_message_ids(folder):
     assert messages(expected.shown(path)) == {1: "Motor Data", 11: "Command"}
     chosen = ["-o", "yapp.motor_ids:0x210,0x211", "-o", "yapp.health_ids:0x200,0x300-0x303", "-o",
               "yapp.command_ids:0x7ff"]
-    for passes in expected.PASSES.values():
+    for passes in levels.size([("-2",)], expected.PASSES.values()):
         frames = expected.shown(path, *passes, *chosen)
         assert messages(frames) == {1: "Motor Data", 2: "Motor Data", 7: "Motor Data", 8: "Health", 9: "Health",
                                     10: "Command"}

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Where not all was read, or the plugin itself failed, no statistic says that all is well."""
-import json
 import random
 import shutil
 import subprocess
