@@ -643,6 +643,7 @@ function T.test_unread_packets_may_mend_a_rule()
     end
   end
   lu.assertEquals(judged, 11)
+  lu.assertStrContains(run({ "faults" }, records, with), "YAPP faults: UNKNOWN, not all packets were read, 0 in what was decoded\n")
 end
 
 -- LEFT has 10 and 14 V, three others 8, 9 and 5 V: 12 is 1.5 times their median, 5 is 5 / 9 of theirs.

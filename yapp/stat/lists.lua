@@ -102,11 +102,13 @@ function M.event_row(context, event, ending, near, keys)
   return output.row(event.source, row)
 end
 
---- Return a number of faults as a text: where sources were not decoded, none is known.
+--- Return a number of faults as a text: where not all was read and decoded, none is known.
 function M.count_text(count, ending)
-  if ending.unknown == 0 then return count end
-  local shape = "UNKNOWN, %d of %s not decoded, %d in what was decoded"
-  return shape:format(ending.unknown, output.count(ending.sources, "source"), count)
+  local why = ending.unread
+  if ending.unknown > 0 then
+    why = ending.unknown .. " of " .. output.count(ending.sources, "source") .. " not decoded"
+  end
+  return why and ("UNKNOWN, %s, %d in what was decoded"):format(why, count) or count
 end
 
 -- Return a list with one event for all of a source that are of a kind which may come often, and
@@ -133,8 +135,9 @@ end
 function Lists:finish(ending, notes)
   local context, what, list, rows, code = self.context, self.what, {}, {}, nil
   for _, event in ipairs(self.list) do
-    local is_sure = not (ending.lacks_times and kinds.BY_NAME[event.kind].needs_time)
-    if is_sure then list[#list + 1] = event end
+    if not (ending.lacks_times and kinds.BY_NAME[event.kind].needs_time) then
+      list[#list + 1] = event
+    end
   end
   local count = 0
   if what == "events" then

@@ -18,8 +18,6 @@ local FOLDER = (os.getenv("HOME") or os.getenv("USERPROFILE") or ".") .. "/yapp-
 local DECODE = "Decode unknown IDs by size"
 local ADVICE = ". Tools > YAPP > " .. DECODE .. " decodes them"
 local DECODED = "yapp.%s was %s, and is now\n  %s\n"
-local UNDONE = "The preferences are as they were.\n"
-local NOTHING_UNKNOWN = "no message of an unknown ID has the size of a message in the catalogue"
 
 local HELP = [[
 YAPP, the packet protocol of Taurus motor controllers, on CAN, CAN FD,
@@ -129,12 +127,13 @@ local function decode_by_size(stat)
     said = said .. DECODED:format(key, before[key], ids)
   end
   if said == "" then
-    return report_failure("YAPP: " .. (answer:match("only %d+ of[^\n]*") or NOTHING_UNKNOWN))
+    return report_failure("YAPP: " .. (answer:match("only %d+ of[^\n]*") or
+      "no message of an unknown ID has the size of a message in the catalogue"))
   end
   local window = TextWindow.new("YAPP " .. DECODE)
   window:add_button("Undo", function()
     preferences.set(before)
-    window:set(UNDONE)
+    window:set("The preferences are as they were.\n")
   end)
   window:set(said)
   preferences.set(after)
