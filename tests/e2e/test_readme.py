@@ -27,7 +27,7 @@ def table(title, page=README):
     return [[cell.strip().replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", row)[1:-1]] for row in rows]
 
 
-QUESTIONS = [row[1].strip("`") for row in table("Questions and answers", STATISTICS)]
+QUESTIONS = [row[1].strip("`").replace("docs/", "") for row in table("Questions and answers", STATISTICS)]
 FAULT = (tshark.ROOT / "docs/fault.md").read_text()
 # (exit code or nothing, command, what it prints)
 EXAMPLES = re.findall(r"<!-- run( \d+)? -->\n    \$ (.*)\n((?:    .*\n)+)", README + FAULT)
@@ -53,7 +53,6 @@ def shell(folder, command, *arguments):
 @pytest.fixture
 def flight(folder):
     FLIGHT.write(folder / "flight.pcapng", "pcapng")
-    (folder / "docs").symlink_to(folder)
     return folder
 
 
