@@ -17,8 +17,8 @@ local MAX_DISTANCE = 0.02 -- seconds
 local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
 local MAX_KEPT = 16 -- messages of a source within this time
 
--- The latest messages of a source: a list of { key, time, text, copied_in = number of the latest
--- packet with a copy of it }, oldest first.
+-- The latest messages of a source, oldest first.  A message that has copies gets copied_in = number
+-- of the latest packet with one.
 local function new_list(source)
   local message_type = source.type
   return {
@@ -42,15 +42,22 @@ function M.new(capture)
   }, Copies)
 end
 
+-- Return whether a message with the same payload may be a copy of an earlier one.
+local function is_repeated(kept, message, distance)
+  return kept.seq == message.seq and kept.status == message.status and
+    abs(message.time - kept.time) < distance
+end
+
 -- Find the original of a message among the latest ones of its source.
 -- returns  its frame key; nil for a message that is no copy
-local function find_in(self, list, message, text)
-  local time = message.time
-  for _, kept in ipairs(list) do
-    if kept.text == text and abs(time - kept.time) < list.distance then
+local function find_in(self, list, message)
+  local payload = message.payload
+  for i = 1, #list do
+    local kept = list[i]
+    if kept.payload == payload and is_repeated(kept, message, list.distance) then
       local number = number_of(message.key)
       if number_of(kept.key) ~= number and kept.copied_in ~= number then
-        if not self.capture:is_time_real(time) then return nil end
+        if not self.capture:is_time_real(message.time) then return nil end
         if list.has_clock then self.are_doubled[list.bus] = true end
         if not self.are_doubled[list.bus] then return nil end
         kept.copied_in = number
@@ -68,15 +75,14 @@ end
 function Copies:find(message, visited, is_only_pass)
   if visited then return self.originals[message.key] end
   local list, time = self.by_source[message.source], message.time
-  local text = message.status .. string.char(message.seq) .. message.payload
-  local original = find_in(self, list, message, text)
+  local original = find_in(self, list, message)
   -- A read filter may have dropped a copy whose number this packet has.
   if not is_only_pass then self.originals[message.key] = original end
   if original then return original end
   while list[1] and (abs(time - list[1].time) >= list.distance or #list == MAX_KEPT) do
     table.remove(list, 1)
   end
-  list[#list + 1] = { key = message.key, time = time, text = text, copied_in = nil }
+  list[#list + 1] = message
 end
 
 return M
