@@ -299,9 +299,6 @@ UNDECODED = {
     "a YAPP CTL other than 0": (
         lambda index: Sent(MOTOR, 1, index, overheated(index)).frames(),
         "0x210 (32 bytes each, Motor Data with a YAPP CTL other than 0, see yapp.all_extended)", ["-o", "yapp.all_extended:TRUE"]),
-    "a Command with it": (
-        lambda index: [Frame(1 << 8 | index, command_payload(index))],
-        "0x0 (7 bytes each, Command with a YAPP CTL other than 0, see yapp.all_extended)", ["-o", "yapp.all_extended:TRUE"]),
     "a Command with a byte more, beside frames that are none": (
         lambda index: [Frame(index, command_payload(index) + b"x"), Frame(index, bytes(8), kind="remote"),
                        Frame(index, bytes([index % 2, index, 2, 0, 0, 0, 0, 0])), Frame(index, command_payload(index)[:6])],

@@ -8,6 +8,7 @@ import zipfile
 
 import pytest
 import levels
+import test_installer
 import tshark
 
 pytestmark = levels.without_tshark("of git, make and the workflows")
@@ -32,15 +33,9 @@ def repository(folder):
     """A clone of the repository as it lies here, with a tag."""
     if not shutil.which("git"):
         pytest.skip("no git here")
-    top = folder / "top"
-    listed = subprocess.run(["git", "-c", "safe.directory=*", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-                            cwd=tshark.ROOT, capture_output=True, text=True, check=False).stdout.split("\0")[:-1]
-    if not listed:
+    if not test_installer.git("ls-files"):
         pytest.skip("no repository here")
-    for name in listed:
-        if (tshark.ROOT / name).is_file() and not name.startswith("tests/"):
-            (top / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(tshark.ROOT / name, top / name)
+    top = test_installer.repository(folder / "top")
     git(top, ["init", "-q"], ["add", "-A"], ["commit", "-qm", "x"], ["tag", TAG])
     return top
 

@@ -15,19 +15,19 @@ local function cpu_seconds_without_garbage(call)
   return cpu_seconds(call)
 end
 
-local SPACES = (" "):rep(4000)
+local SPACES = (" "):rep(2000)
 local function search() return SPACES:find(" *x") end
 local least = cpu_seconds(search) -- what it took at best: a slower moment gives a call no less time
 
---- Return whether a call costs an eighth of a pattern's search that is tried from each of 4,000 characters to the last.
+--- Return whether a call costs half of a pattern's search that is tried from each of 2,000 characters to the last.
 -- Three attempts, as a collection of garbage may fall into one.
 function M.is_quadratic(call)
-  if cpu_seconds(call) < math.max(0.001, least / 8) then return false end
+  if cpu_seconds(call) < math.max(0.001, least / 2) then return false end
   for _ = 1, 3 do
     local seconds = cpu_seconds_without_garbage(call)
     local of_search = cpu_seconds(search)
     least = math.min(least, of_search)
-    if seconds < math.max(0.001, of_search / 8) then return false end
+    if seconds < math.max(0.001, of_search / 2) then return false end
   end
   return true
 end

@@ -2,10 +2,12 @@
 -- The history of sources: what changes from one good message to the next, in order and on revisits.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local band = require("yapp.base.bits").band
 local catalogue = require("yapp.message.catalogue")
 local history = require("yapp.message.history")
 local levels = require("levels")
-local little_endian = require("stream_generator").little_endian
+local generator = require("stream_generator")
+local little_endian = generator.little_endian
 local stamps_of = require("yapp.capture.stamps")
 
 local T = {}
@@ -69,46 +71,6 @@ function T.test_the_first_message_has_nothing_but_its_clock()
   lu.assertNil(h:add { source = {}, seq = 0, key = 3, time = 1, status = "bad", payload = "" })
 end
 
-function T.test_deltas_are_from_the_previous_good_message_of_the_source()
-  lu.assertEquals(run({ motor(1, 1), motor(2, 1.5, { source = "other" }), motor(3, 3), motor(4, 4, { ends = "bad" }),
-    motor(5, 7), command(6, 8), command(7, 8.5) }, "delta"), { "-", "-", 2, 1, 4, "-", 0.5 })
-end
-
-function T.test_a_gap_is_late_above_the_limit()
-  local messages = { motor(1, 0), motor(2, 0.25), motor(3, 0.5001), command(4, 1), command(5, 1.5), command(6, 2.1) }
-  local late = run(messages, "late")
-  lu.assertEquals({ late[2], late[5] }, { "-", "-" }) -- 2.5 periods are no more than the limit
-  lu.assertAlmostEquals(late[3], 0.2501, 1e-9)
-  lu.assertAlmostEquals(late[6], 0.6, 1e-9)
-  lu.assertEquals(run({ motor(1, 0.3), motor(2, 0.55) }, "late"), { "-", "-" }) -- of doubles the difference is more
-  lu.assertEquals(run(messages, "late", { late = 10 }), { "-", "-", "-", "-", "-", "-" })
-end
-
-function T.test_seq_gaps_where_seq_numbers()
-  local function missing(...)
-    local messages = {}
-    for i, seq in ipairs { ... } do messages[i] = motor(i, i, { seq = seq }) end
-    return run(messages, "missing")
-  end
-  lu.assertEquals(missing(0, 0, 0), { "-", "-", "-" })
-  lu.assertEquals(missing(7, 7), { "-", "-" })
-  lu.assertEquals(missing(5, 6, 7, 9, 10, 14), { "-", "-", "-", 1, "-", 3 })
-  lu.assertEquals(missing(254, 255, 0, 2), { "-", "-", "-", 1 })
-  lu.assertEquals(missing(3, 5, 5), { "-", 1, "-" }) -- the same message again
-  lu.assertEquals(missing(0, 255), { "-", "-" })
-  lu.assertEquals(missing(0, 128, 1), { "-", 127, 128 })
-end
-
-function T.test_a_reboot_begins_a_new_numbering_and_a_new_drift()
-  local messages = { motor(1, 10, { clock = 100, seq = 200 }), motor(2, 11, { clock = 101.5, seq = 201 }),
-    motor(3, 15, { clock = 1, seq = 0 }), motor(4, 16, { clock = 2.25, seq = 2 }) }
-  lu.assertEquals(run(messages, "reboot"), { "-", "-", 100.5, "-" }) -- how far it went back
-  lu.assertEquals(run(messages, "missing"), { "-", "-", "-", 1 })
-  local drift = run(messages, "drift")
-  for i, expected in ipairs { 0, 0.5, 0, 0.25 } do lu.assertAlmostEquals(drift[i], expected, 1e-9) end
-end
-
--- 5 to 0 is a late message's distance, too: the clock tells which it is.
 -- Two logs one behind the other, the later one first: the capture goes back by what the clock does.
 function T.test_a_capture_out_of_order_is_no_reboot()
   local function reboots(...)
@@ -123,13 +85,6 @@ function T.test_a_capture_out_of_order_is_no_reboot()
   lu.assertEquals(reboots({ 90, 90 }, { 90.1, 50 }), { "-", 40 })
 end
 
-function T.test_a_clock_that_stands_still()
-  local messages = { motor(1, 1, { clock = 5 }), motor(2, 2, { clock = 5 }), motor(3, 3, { clock = 5, ends = "bad" }),
-    motor(4, 4, { clock = 5 }), motor(5, 5, { clock = 6 }), motor(6, 6, { clock = 6 }) }
-  lu.assertEquals(run(messages, "stale"), { "-", true, "-", true, "-", true })
-  lu.assertEquals(run(messages, "reboot"), { "-", "-", "-", "-", "-", "-" })
-end
-
 -- Looks at messages with these times of the capture and of the controller, in turns.
 local function clocks(...)
   local messages, given = {}, { ... }
@@ -137,20 +92,10 @@ local function clocks(...)
   return messages
 end
 
--- Where the controller's clock goes ahead of the capture's by more than a second.
-function T.test_a_clock_that_jumps()
-  local function jumps(...)
-    local found = run(clocks(...), "jump")
-    for i, jump in ipairs(found) do found[i] = jump ~= "-" and math.floor(jump * 1000 + 0.5) / 1000 or jump end
-    return found
-  end
-  lu.assertEquals(jumps(0, 5, 0.1, 3605.1, 0.2, 3605.2), { "-", 3600, "-" })
-  lu.assertEquals(jumps(0, 5, 0.1, 6.1, 0.2, 7.201), { "-", "-", 1.001 }) -- exactly one second is none
-  lu.assertEquals(jumps(0.3, 5, 0.4, 6.1), { "-", "-" }) -- of doubles the difference is more
-  lu.assertEquals(jumps(0, 5, 10, 15, 20, 17), { "-", "-", "-" }) -- the capture's went ahead
-  lu.assertEquals(jumps(5, 5, 0.1, 5.1, 0.2, 5.2), { "-", "-", "-" }) -- the capture's went back: no jump of 5 s
-  lu.assertEquals(jumps(5, 5, 5, 7), { "-", 2 })
-  lu.assertEquals(jumps(0, 5, 0.1, 3, 0.2, 3600), { "-", "-", 3596.9 }) -- a reboot, then another controller
+-- The capture's clock went back: that is no jump of 5 s.
+function T.test_no_jump()
+  lu.assertEquals(run(clocks(5, 5, 0.1, 5.1, 0.2, 5.2), "jump"), { "-", "-", "-" })
+  lu.assertEquals(run(clocks(0.3, 5, 0.4, 6.1), "jump"), { "-", "-" }) -- of doubles the difference is more than 1 s
 end
 
 function T.test_without_time_stamps_there_is_nothing_of_time()
@@ -191,15 +136,6 @@ function T.test_a_fault_across_a_step_back()
     motor(4, 10, { fault = 1 }) }, "active_time")[3], "-")
 end
 
-function T.test_a_message_that_is_not_good_changes_nothing()
-  local messages = { motor(1, 1), motor(2, 2, { fault = 1, seq = 9, clock = 0, ends = "bad" }), motor(3, 3),
-    motor(4, 4, { fault = 1 }) }
-  local changes = run(messages)
-  lu.assertEquals(changes[2], { delta = 1 }) -- and nothing stands there
-  lu.assertEquals({ changes[3].flags, changes[3].missing, changes[3].reboot }, {})
-  lu.assertEquals(changes[4].flags[1].raised, 1)
-end
-
 function T.test_links_to_the_changes_before_and_after()
   local messages = { motor(10, 1), motor(20, 2, { fault = 1 }), motor(30, 3, { fault = 1, status = 1 }),
     motor(40, 4, { fault = 3 }), motor(50, 5), motor(60, 6), motor(70, 7, { fault = 1 }) }
@@ -211,16 +147,79 @@ function T.test_links_to_the_changes_before_and_after()
   lu.assertNil(h:state(motor(20, 2, { source = "nobody" })))
 end
 
-function T.test_the_latest_command_on_the_bus()
-  local messages = { motor(1, 1, { bus = 1 }), command(2, 2, 1), motor(3, 3, { bus = 1 }),
-    motor(4, 4, { bus = 2, source = 2 }), command(5, 5, 2), command(6, 5, nil), motor(7, 6, { bus = 1 }),
-    motor(8, 7, { bus = 2, source = 2 }), motor(9, 8, { source = 3 }) }
-  local found, h = run(messages, "command_in")
-  lu.assertEquals(found, { "-", "-", 2, "-", "-", "-", 2, 5, 6 })
-  for i, m in ipairs(messages) do lu.assertEquals(h:state(m).command_in or "-", found[i]) end
-  local bad = command(2, 2)
-  bad.status = "bad"
-  lu.assertEquals(run({ bad, motor(3, 3) }, "command_in"), { "-", "-" })
+-- Random messages of motors and Commands against the definitions, on buses of which one has no name.
+-- All times are whole milliseconds.
+function T.test_random_messages()
+  local buses = { 1, 2 }
+  local seen = { late = 0, missing = 0, reboot = 0, jump = 0, stale = 0, drift = 0, raised = 0, cleared = 0 }
+  local function compare(name, found, expected, where)
+    local is_close = found and type(expected) == "number" and math.abs(found - expected) < 1e-9
+    lu.assertTrue(found == expected or is_close, ("%s %s: %s, expected %s"):format(where, name, found, expected))
+    if seen[name] and expected then seen[name] = seen[name] + 1 end
+  end
+  for seed = 1, levels.size(30, 300) do
+    local random, h, states, latest, time = generator.random(seed), new(), {}, {}, 0
+    for number = 1, 200 do
+      local who, expected = random(6), {}
+      local bus, is_motor, is_good = buses[who % 3], who > 3, random(8) > 1
+      local m
+      local known = states[who] or {}
+      time = time + 50 * random(4)
+      local elapsed = known.time and time - known.time
+      local seq = ((known.seq or random(256)) + ({ 1, 1, 1, 0, 2, 9, -1, -8, -9, 130 })[random(10)]) % 256
+      if is_motor then
+        local kind, clock = random(12), known.clock
+        if not clock then
+          clock = 10000 + random(10000)
+        elseif kind == 1 and not known.has_rebooted then
+          clock = clock - ({ random(300), 1995 + random(10), 2000 + random(7000) })[random(3)]
+        elseif kind == 2 and elapsed > 50 then
+          clock = known.clock
+        else
+          clock = clock + (kind == 3 and elapsed + 998 + random(4) or math.max(1, elapsed + random(101) - 51))
+        end
+        local advance = clock - (known.clock or clock)
+        local ends = is_good and "good" or "bad"
+        m = motor(number, time / 1000,
+          { source = who, bus = bus, clock = clock / 1000, seq = seq, fault = random(4) - 1, ends = ends })
+        if is_good then
+          local before, fault = known.fault or 0, m.raws[FAULT.index]
+          expected.raised, expected.cleared = fault - band(fault, before), before - band(fault, before)
+          if advance < 0 then expected.reboot = -advance / 1000 end
+          if advance == 0 and known.clock then expected.stale = true end
+          if elapsed and advance - elapsed > 1000 then expected.jump = (advance - elapsed) / 1000 end
+          if not known.clock or advance < 0 then known.base = clock - time end
+          expected.drift, expected.command_in = (clock - time - known.base) / 1000, latest[bus or 0]
+          known.fault, known.clock, known.has_rebooted = fault, clock, known.has_rebooted or advance < 0
+        end
+      else
+        m = command(number, time / 1000, bus, seq)
+        m.status = is_good and "good" or "bad"
+        if is_good then latest[bus or 0] = number end
+      end
+      expected.delta = elapsed and elapsed / 1000 or false
+      if is_good then
+        local ahead = (seq - (known.seq or seq)) % 256
+        if elapsed and elapsed > (is_motor and 250 or 500) then expected.late = elapsed / 1000 end
+        if ahead < 248 or (expected.reboot or 0) >= 2 or m.time - known.stamp > 1 then
+          known.seq = seq
+          if ahead > 1 and not expected.reboot then expected.missing = ahead - 1 end
+        end
+        known.time, known.stamp, states[who] = time, m.time, known
+      end
+      local where, change, delta = ("seed %d, message %d,"):format(seed, number), h:add(m)
+      local state, flags = h:state(m) or {}, change and change.flags and change.flags[1] or {}
+      compare("delta", delta, expected.delta, where)
+      for _, name in ipairs { "late", "missing", "reboot", "jump", "stale" } do
+        compare(name, (change or {})[name], expected[name], where)
+      end
+      for _, name in ipairs { "drift", "command_in" } do compare(name, state[name], expected[name], where) end
+      for _, name in ipairs { "raised", "cleared" } do
+        compare(name, flags[name] or 0, expected[name] or 0, where)
+      end
+    end
+  end
+  for name, count in pairs(seen) do lu.assertTrue(count > 50, name) end
 end
 
 -- A random capture: the same seed gives the same messages.
