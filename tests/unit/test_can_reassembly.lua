@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The reassembly of CAN frames: each rule by itself, in the words of can_words; random frames against
--- an oracle; visited frames, packets of several frames, read filters.
+-- The reassembly of CAN frames: random frames against an oracle; visited frames, packets of several
+-- frames, read filters, in the words of can_words.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local crc = require("yapp.wire.crc")
@@ -15,38 +15,7 @@ local T = {}
 
 -- The rules ---------------------------------------------------------------------------------------
 
-local COMMAND, HEALTH = { [""] = { 0, 0, 0 } }, { [""] = { 0x200, 0, 0 } }
-local MOTOR = { [""] = { 0x210, 0, 0 } }
-
-local function check(rows, options)
-  for _, row in ipairs(rows) do
-    local all = { buses = true }
-    for _, more in ipairs { options or {}, row[3] or {} } do
-      for k, v in pairs(more) do all[k] = v end
-    end
-    local text, _, frames = words.send(row[1], all)
-    lu.assertEquals(text, row[2], row[1])
-    local texts = {}
-    for i, verdict in ipairs(oracle.verdicts(frames)) do texts[i] = verdict.text end
-    lu.assertEquals(table.concat(texts, " "), row[2], row[1])
-  end
-end
-
--- A message that lost its End is reported once, with the frame of its Start: when a later message has overtaken it.
-function T.test_what_breaks_is_named()
-  local lost = ".+fragment.incomplete"
-  check({
-    { "S32 M8 M8 M8 E8 E8", ". . . . good orphan+fragment.orphan" },
-    { "S32 M8 S32 M8 M8 M8 E8 S32 M8 M8 M8 E8", ". . . . . . good " .. lost .. " . . . good" },
-    { "S32 M8 S32 M8 M8 E8 S32 M8 M8 M8 E8 S32", -- two in a row
-      ". . . . . . . . . . good .+fragment.incomplete+fragment.incomplete" },
-    { "S32 M8 S32 M8 S32 S32 S32", ". . . . . . " .. lost }, -- four at most are open
-  }, { ids = MOTOR })
-  local known, frames = words.new(), words.frames("S32 M8 M8 E8", { ids = MOTOR })
-  words.visits(known, { frames[1], frames[2], frames[3] })
-  local _, found = words.visit(known, frames[4])
-  lu.assertEquals(found.anomalies[1].text, "The message that started in frame 1 has 24 of 32 bytes")
-end
+local HEALTH, MOTOR = { [""] = { 0x200, 0, 0 } }, { [""] = { 0x210, 0, 0 } }
 
 -- The fragments of a message come one after the other: at a Start a tenth of a second behind them it
 -- is decided that an End is lost.
@@ -71,17 +40,6 @@ function T.test_sizes_from_min_size_on()
     ["L17p24"] = "-", ["L8"] = "-" } do
     lu.assertEquals((words.send(text, { ids = HEALTH, min_size = 10 })), expected, text)
   end
-end
-
-function T.test_only_what_is_surely_yapp_is_claimed()
-  check {
-    { "S9/12", "-" }, { "S9~7", "-" }, { "S0", "-" }, { "L7", "-", { ids = { [""] = { 0, 1, 0 } } } },
-    { "L7", "single", { ids = COMMAND } }, { "L17p24", "-", { ids = HEALTH } },
-    -- once the ID is known as YAPP's
-    { "aS9 aM8 aE1 bS9 bM8 bE1 aS9 aM8 aE1", "- - - . . good . . good",
-      { ids = { a = { 0x123, 0, 9 }, b = { 0x123, 0, 0 } }, buses = false } },
-    { "S32 M8", ". .", { ids = { [""] = { 0x210, 0, 9 } } } }, { "X8", "-", { ids = MOTOR } },
-  }
 end
 
 -- Random frames -----------------------------------------------------------------------------------
