@@ -125,6 +125,7 @@ def asked(browser):
 def test_it_opens_without_an_error_and_asks_the_network_for_nothing(browser, page):
     assert [line for line in browser.get_log("browser") if line["level"] == "SEVERE"] == []
     assert {url for url in asked(browser) if not url.startswith(("data:", "blob:"))} == {page[0].as_uri()}
+    assert browser.execute_script("return document.querySelectorAll('tr.part:not([hidden])').length") == 0
 
 
 def incidents_of(browser):

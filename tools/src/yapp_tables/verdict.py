@@ -308,7 +308,7 @@ def _details(row: Record) -> str:
 
 
 def _zoom(begin: float, end: float | None) -> str:
-    return f"data-begin={begin!r} data-end={'' if end is None else repr(end)}"
+    return f"data-begin={begin!r} data-end='{'' if end is None else repr(end)}'"
 
 
 def series_of(names: Sequence[str]) -> str:
