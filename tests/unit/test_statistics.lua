@@ -747,7 +747,7 @@ function T.test_disabled()
       for frame = 1, 60 do
         local index, at = math.random(3), frame + bus * 1000
         if index < 3 then
-          local count = math.random(3) == 1 and math.random(0, 255) or math.random(110, 140)
+          local count = ({ math.random(0, 255), math.random(251, 255), math.random(110, 140) })[math.random(3)]
           records[#records + 1] = record(at, at, { source = sources[index], payload = string.char(count) })
           if count <= 250 then
             speeds[index] = math.abs(count - 125)
