@@ -268,16 +268,6 @@ def test_shared_sources(seed):
     assert done.returncode == 20
 
 
-@pytest.mark.parametrize("rules, code", [(["fault=0", "crc=0"], 20), (["crc=0", "fault=0"], 20), (["motor.count=99", "crc=0"], 21),
-                                         (["crc=0", "motor.count=99"], 21)])
-def test_several_checks_end_with_the_worst_code(rules, code):
-    """motor.count=99 is not judged where no Motor Data came: 21."""
-    name = "fault_flags" if code == 20 else "command"
-    capture = next(iter(sorted(tshark.CAPTURES.glob(f"*/{name}*.pcap*"))))
-    done = tshark.run("-q", "-r", capture, *[part for rule in rules for part in ("-z", f"yapp,check,{rule}")], check=False)
-    assert done.returncode == code, done.stdout
-
-
 # check ---------------------------------------------------------------------------------------------------------------
 
 def rules_of(summary, events):
