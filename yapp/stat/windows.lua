@@ -12,12 +12,9 @@ local M = {}
 local MAX_FRAMES = 1000 -- in a display filter: more make Wireshark slow
 
 local MAX_SECONDS = 1 -- of reading: a window that takes longer is not refreshed by itself
-local OLD = "More packets have come: press Refresh\n\n"
 -- New folders begin like this: Lua does not know that of the capture.
 local FOLDER = (os.getenv("HOME") or os.getenv("USERPROFILE") or ".") .. "/yapp-"
 local DECODE = "Decode unknown IDs by size"
-local ADVICE = ". Tools > YAPP > " .. DECODE .. " decodes them"
-local DECODED = "yapp.%s was %s, and is now\n  %s\n"
 
 local HELP = [[
 YAPP, the packet protocol of Taurus motor controllers, on CAN, CAN FD,
@@ -65,10 +62,9 @@ local function show_frames(frames)
   if not frames[1] then
     return report_failure("YAPP: no frame stands in this window")
   end
-  local numbers, is_there = {}, {}
+  local numbers = {}
   for _, frame in ipairs(frames) do
-    if not is_there[frame] then numbers[#numbers + 1] = frame end
-    is_there[frame] = true
+    if frame ~= numbers[#numbers] then numbers[#numbers + 1] = frame end
   end
   local count = math.min(#numbers, MAX_FRAMES)
   set_filter(("frame.number in {%s}"):format(table.concat(numbers, ", ", 1, count)))
@@ -81,7 +77,7 @@ local on_packets_of = {}
 -- Return an answer with advice that fits Wireshark; the page in the browser has buttons.
 local function with_menus(answer)
   if yapp_is_whole then return answer end
-  answer = answer:gsub("%. Try %-o [^\n]*", ADVICE)
+  answer = answer:gsub("%. Try %-o [^\n]*", ". Tools > YAPP > " .. DECODE .. " decodes them")
   return (answer:gsub("; try %-d ", "; choose in Analyze > Decode As: "))
 end
 
@@ -106,7 +102,7 @@ local function open_window(title, make, stat)
     if stat.total <= total then return end
     if seconds < MAX_SECONDS then return refresh() end
     total = math.huge
-    window:set(OLD .. content)
+    window:set("More packets have come: press Refresh\n\n" .. content)
   end
   window:set_atclose(function()
     on_packets_of[window] = nil
@@ -124,7 +120,8 @@ local function decode_by_size(stat)
   for name, ids in answer:gmatch("%-o yapp%.([%w_]+)_ids:(%S+)") do
     local key = name .. "_ids"
     before[key], after[key] = undecoded.ranges_of(stat.settings.ids[name]), ids
-    said = said .. DECODED:format(key, before[key], ids)
+    local shape = "yapp.%s was %s, and is now\n  %s\n"
+    said = said .. shape:format(key, before[key], ids)
   end
   if said == "" then
     return report_failure("YAPP: " .. (answer:match("only %d+ of[^\n]*") or
