@@ -137,16 +137,6 @@ def compare(seed, layout, wide, capture, path, *arguments):
     assert not problems, f"{where}: {len(problems)} differences\n" + "\n".join(problems[:20])
 
 
-TOTAL = collections.Counter()
-
-
-@pytest.fixture(scope="module", autouse=True)
-def closing_line(request):
-    yield
-    counts = ", ".join(f"{count:,} {what}" for what, count in TOTAL.items())
-    request.config.pluginmanager.getplugin("terminalreporter").write_line(f"\nsoak, seed {SEED}: {counts}")
-
-
 @pytest.mark.parametrize("number", range(FILES))
 def test_random_captures(number, folder):
     layout, wide = KINDS[number % len(KINDS)]
@@ -157,13 +147,6 @@ def test_random_captures(number, folder):
     capture = capture.without_remote_frames()
     capture.write(path)
     compare(seed, layout, wide, capture, path, "-2")
-    TOTAL["captures"] += PER_FILE
-    TOTAL["files"] += 1
-    TOTAL["frames"] += len(capture.frames)
-    TOTAL["messages"] += sum(bool(verdict.members) and number == verdict.members[-1]
-                             for number, verdict in capture.verdicts.items())
-    for name in EXPERTS:
-        TOTAL[name] += sum(name in verdict.experts for verdict in capture.verdicts.values())
 
 
 @pytest.mark.parametrize("layout", levels.few(can_generator.LAYOUTS, ["interfaces", "merged interface"]))
