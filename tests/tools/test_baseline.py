@@ -90,7 +90,8 @@ def test_what_stands_in_the_file(learnt):
 
 def test_fields_with_the_names_of_measures(tmp_path, monkeypatch):
     """The rate of the messages is 10 Hz, the field of this name 1000 to 1009."""
-    fields = ", ".join(f'{{ "{name}", "uint16", "{name.title()}", unit = "V" }}' for name in ("rate", "gap", "mean", "spread"))
+    names = ("rate", "gap", "mean", "spread")
+    fields = ", ".join(f'{{ "{name}", "uint16", "{name.title()}", unit = "V" }}' for name in names)
     (tmp_path / "messages.lua").write_text(
         f'return {{ {{ name = "pump", title = "Pump", id = 0x340, size = 8, {fields} }} }}'
     )

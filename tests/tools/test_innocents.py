@@ -11,6 +11,7 @@ import planted
 import pytest
 import yapp_tables as yt
 from running import PLUGIN, run_tables
+from yapp_tables import verdict
 
 
 @pytest.mark.parametrize(
@@ -81,3 +82,18 @@ def test_a_bus_that_was_silent_is_one_sentence(tmp_path):
     phases = re.search(r'<p id="phases".*?>(.*?)</p>', (tmp_path / "page.html").read_text())[1]
     names = ", ".join(f"{name} (can{name[0] == 'R':d})" for name in planted.NAMES)
     assert phases.startswith(f"Nothing found of {names}. In flight (by speed) "), phases
+
+
+def test_a_silence_of_damaged_messages_says_so():
+    def incident(kind, begin, until, **more):
+        rows = [{"kind": kind, "source": "left", "is_command": False, **more}]
+        about = {"label": "left (can0)", "source": "left", "what": kind, "is_fault": False, "kinds": [kind]}
+        return about | {"begin": begin, "until": until, "rows": rows, "is_serious": kind == "silence"}
+
+    rows = [incident("silence", 9.9, 10.4), incident("crc", 8.0, 10.2, at=[8.0, 10.0, 10.1, 10.2])]
+    said = verdict.causes({"incidents": rows, "differs": [], "length": 60.0})
+    assert [one["text"] for one in said["left (can0)"]] == [
+        "silent 0.500 s, from 0:09.900, in which 3 damaged messages came"
+    ]
+    said = verdict.causes({"incidents": rows[:1], "differs": [], "length": 60.0})
+    assert said["left (can0)"][0]["text"] == "silent 0.500 s, from 0:09.900"

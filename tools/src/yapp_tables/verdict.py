@@ -105,11 +105,21 @@ def _incident(row: Record, data: Record) -> str:
         text = f"rebooted {f'{times} times, the last ' * (times > 1)}at {clock(until or begin)}"
         return text + f", silent {lasts}" * ("silence" in kinds)
     if kinds == ["silence"] and not rows[0]["is_command"] and "bus" not in row:
-        return f"silent {lasts}, from {clock(begin)}"
+        end = data["length"] if until is None else until
+        damaged = sum(begin <= at <= end for at in _damaged(row["source"], data))
+        came = f", in which {count_of(damaged, 'damaged message')} came" if damaged else ""
+        return f"silent {lasts}, from {clock(begin)}{came}"
     text = f"{row['what']} {f'{lasts} ' * (until != begin)}at {clock(begin)}"
     if lasts == "until the end":
         text = f"{row['what']} at {clock(begin)}, {lasts}"
     return f"{text}; {row['stopped']}" if row.get("stopped") else text
+
+
+def _damaged(source: str, data: Record) -> Iterator[float]:
+    """Yield when messages of a source were damaged."""
+    for one in (one for row in data["incidents"] for one in row["rows"]):
+        if one["kind"] in ("crc", "incomplete") and one["source"] == source:
+            yield from one["at"]
 
 
 def reboots_of(row: Record) -> int:
