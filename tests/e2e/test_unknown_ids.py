@@ -25,6 +25,7 @@ def test_seq_nos(tmp_path, two):
     """All and round; not numbered; many missing; late ones: each of two IDs of its own, in turns."""
     sequences = [*range(256), 0, 1], [0] * 5, [0, 1, 200, 90, 7, 255], [0, 32, 5, 31, 64]
     messages = [(base + ident, seq) for base, sequence in enumerate(sequences) for seq in sequence for ident in (0x123, 0x456)]
+    messages += [(0x300 + ident, seq) for ident in range(80) for seq in (0, 1, 200)]  # more than have all Starts registered at once
     assert shown(write(tmp_path / "unknown.pcap", messages), *two) == messages
 
 

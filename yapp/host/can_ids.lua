@@ -7,6 +7,9 @@ local can_id = require "yapp.wire.can_id"
 local M = {}
 
 local MAX_ID = 2047
+-- Behind so many unknown IDs, the next ones whose first messages are more than AHEAD apart wait for
+-- Seq No 0.
+local MANY, AHEAD = 64, 15
 local ID, CTRL = 2 ^ 18, 2 ^ 14 -- one more of these in a CAN id
 
 local Ids = {}
@@ -21,7 +24,9 @@ function M.new(proto)
   return setmetatable({
     proto = proto,
     dissectors = dissectors,
-    registered = {}, -- [ID] = true for all of it, or a set of the Seq Nos of an unknown one
+    registered = {}, -- [ID] = true for all of it, or a set of the Seq Nos of an unknown one, with
+    -- has_all = true if all its Starts are registered
+    unknown = 0, -- number of these
   }, Ids)
 end
 
@@ -38,15 +43,19 @@ function Ids:register_id(id)
   for ctrl = 0, can_id.END do register(self, id, ctrl, 0, 0xFF) end
 end
 
---- Register those of an unknown ID, of which a Start with a Seq No came: all its Starts, and the
--- other fragments with this Seq No: all 768 of each of 2,000 IDs take a third of a run.  Nothing
--- tells its single frames from those of others.
+--- Register those of an unknown ID, of which a Start with a Seq No came: its Starts, and the other
+-- fragments with this Seq No.  All of them of each of 2,000 IDs take longer than the rest of a run.
+-- Nothing tells its single frames from those of others.
 function Ids:register_start(id, seq)
   local seqs = self.registered[id]
   if seqs == true or seqs and seqs[seq] then return end
   if not seqs then
-    seqs = {}
+    self.unknown = self.unknown + 1
+    seqs = { has_all = self.unknown <= MANY }
     self.registered[id] = seqs
+    register(self, id, can_id.START, 0, seqs.has_all and 0xFF or AHEAD)
+  elseif not seqs.has_all then
+    seqs.has_all = true
     register(self, id, can_id.START, 0, 0xFF)
   end
   seqs[seq] = true
