@@ -213,7 +213,9 @@ def run(what: str, purge: bool = False) -> int:
             found = list(problems(source, wireshark))
             if what == "install" and not found:
                 first = source / "docs/first.pcapng"
-                say("next", f"wireshark -C YAPP {first if first.is_file() else 'CAPTURE.pcapng'}")
+                capture = first if first.is_file() else "CAPTURE.pcapng"
+                say("next", f"tshark -q -r {capture} -z yapp,faults")
+                say("or", f"wireshark -C YAPP {capture}")
     except (Problem, OSError, subprocess.SubprocessError) as problem:
         found = [str(problem)]
     sys.stdout.flush()  # what is wrong comes last, in a log too
