@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 import ctypes
+import itertools
 import os
 import pathlib
 import shutil
@@ -50,11 +51,23 @@ def pytest_configure(config):
         config.addinivalue_line("markers", line)
 
 
+WAITING = ("test_live.py", "test_watch.py")  # the tests that wait most of their time
+
+
+def spread(items):
+    """The same tests, those that wait between the files of the others: together, they would leave the processors idle."""
+    waiting = iter([item for item in items if item.path.name in WAITING])
+    ordered = []
+    for _, of_file in itertools.groupby((item for item in items if item.path.name not in WAITING), lambda item: item.path):
+        ordered += [*of_file, *itertools.islice(waiting, 2)]
+    return [*ordered, *waiting]
+
+
 def pytest_collection_modifyitems(config, items):
     if not any("::" in argument for argument in config.args):  # a test that is asked for by name runs
         chosen = levels.chosen(items)
         config.hook.pytest_deselected(items=sorted(set(items) - set(chosen), key=items.index))
-        items[:] = chosen
+        items[:] = spread(chosen)
 
 
 @pytest.fixture
