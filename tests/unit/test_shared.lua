@@ -53,7 +53,10 @@ local function shared_at(messages, options)
   local h = new(options)
   for i, m in ipairs(messages) do
     local change = h:add(m)
-    if change and change.shared then return i end
+    if change and change.shared then
+      lu.assertEquals({ change.unreliable, h:state(m) }, { true, nil })
+      return i
+    end
   end
 end
 
@@ -65,9 +68,11 @@ local function clocks(step, list, with)
 end
 
 function T.test_when_it_shows()
+  local equal = {} -- two clocks that were set alike
+  for i, time in ipairs { 0, 0.02, 0.1, 0.12 } do equal[i] = message(i, time, 100 + math.floor(time * 10) / 10) end
   local late = { 0.1, 0.3, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.3, 1.2, 1.4, 1.5 }
   for _, row in ipairs {
-    { 4, clocks(0.05, { 100.0, 7.2, 100.1, 7.3, 100.2 }) },
+    { 4, clocks(0.05, { 100.0, 7.2, 100.1, 7.3, 100.2 }) }, { 4, equal },
     { 5, clocks(0.05, { 7.2, 100.0, 7.3, 100.1, 7.4, 100.2 }) },
     { 6, clocks(0.05, { 100.0, 99.8, 100.1, 99.9, 100.2, 100.0 }) }, -- by 0.25 s
     { 5, clocks(0.033, { 100.0, 50.0, 7.0, 100.1, 50.1, 7.1 }), "three" },
