@@ -31,7 +31,8 @@ def wrapped(text):
 
 def entry(name, thing):
     """A heading, the signature and the docstring."""
-    signature = "" if inspect.isclass(thing) and issubclass(thing, Exception) else inspect.signature(thing)
+    signature = "" if inspect.isclass(thing) and issubclass(thing, Exception) else str(inspect.signature(thing))
+    signature = re.sub(r"\b(?:collections\.abc|pathlib|yapp_tables\.\w+)\.", "", signature)
     return f"## yt.{name}\n\n    {name}{signature}\n\n{wrapped(inspect.getdoc(thing))}\n"
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "src"))  # that of this tree, installed or not
 from yapp_tables import Tshark
-from yapp_tables.records import TABLES, column, columns_of
 from yapp_tables.series import DEGREES
-from yapp_tables.tables import ABOUT_HEAD, DURATION, HEAD, KIND, SCHEMA, TIME, differences, messages, said
+from yapp_tables.tables import (
+    ABOUT_HEAD, DURATION, HEAD, KIND, SCHEMA, TABLES, TIME, columns_of, differences, messages, record_column, said,
+)
 
 NAMES = {TIME: "time", DURATION: "duration", KIND: "text"}
 ABOUT = {
@@ -24,6 +25,8 @@ ends. The sum of `active` is how long a flag was set.""",
 A row for each bus and ID. Good messages have a good CRC, or need none. If a source counts by Seq
 No, a damaged message is `missing`, too, and the lost share is `missing / (count + missing)`.
 Otherwise it is `(crc_bad + incomplete) / (count + crc_bad + incomplete)`.""",
+    "buses": """\
+A row for each CAN bus, if `convert` got its `--bitrate`. `other` has the error frames by kind.""",
     "steps": """\
 A row for each change of a command by 5 % of its range or more, if the command held for 0.5 s. Times
 are by the controller's clock, on lines between two messages. `resolution` is their distance.""",
@@ -111,7 +114,7 @@ for name, schema in messages(fields).items():
 for name in TABLES:
     columns = columns_of(fields, name)
     if name == "points":
-        columns = [*columns, *(column(*each) for each in described_points(fields))]
+        columns = [*columns, *(record_column(*each) for each in described_points(fields))]
     print(f"\n## {name}\n\n{ABOUT[name]}\nThe first columns are `flight_id` and `source_file`, then:\n")
     names = {"message": "message_name"}
     print(table((f"`{names.get(c.name, c.name)}`", name_of(c.type), unit(c), said(c.metadata)["title"]) for c in columns))

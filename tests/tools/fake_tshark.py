@@ -41,6 +41,7 @@ STATISTICS = {
     "summary": f"{WHO}, count integer, rate number, gap_min seconds, gap_mean seconds, gap_max seconds, "
     "gap_max_frame integer, crc_bad integer, incomplete integer, late integer, reboots integer, values values, "
     "invalid integer, missing integer, copies integer",
+    "buses": "bus string, frames integer, rate number, yapp integer, errors values, load number, load_max number",
 }
 
 

@@ -6,7 +6,7 @@ from decimal import Decimal
 import pytest
 from fake_tshark import FIELDS
 from yapp_tables.incidents import faults_in
-from yapp_tables.records import columns_of, table
+from yapp_tables.tables import columns_of, table
 
 
 def event(at, kind="fault", flag="stall", **more):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Limits learnt from good flights: rules for -z yapp,check, which then judges whether a flight is like these."""
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -21,7 +19,7 @@ from .flight import Flight
 from .scratch import scratch
 from .series import DEGREES, LATE, Array, Samples, samples
 from .tables import differences
-from .tshark import Record, Tshark
+from .tshark import Export, Record, Tshark
 
 MARGIN = 0.1  # of the range that the flights cover
 # A range that is narrow for its value counts as this share of the value: what never changed may do so a little.
@@ -78,13 +76,11 @@ class Finding:
 
 @dataclass
 class Good:
-    """A good flight: what tshark says of it, and its messages."""
+    """A good flight. samples: of each source, with the user's name for it, or ""."""
 
     name: str
-    records: dict[str, list[Record]]
-    lacks: tuple[str, ...]
-    fields: Record
-    samples: list[tuple[str, Samples]]  # the user's name for a source, or ""
+    export: Export
+    samples: list[tuple[str, Samples]]
 
 
 def learn(captures: Sequence[Path], tshark: Tshark) -> tuple[str, list[str]]:
@@ -95,22 +91,32 @@ def learn(captures: Sequence[Path], tshark: Tshark) -> tuple[str, list[str]]:
     folder = os.path.commonpath([capture.parent for capture in captures])
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         flights = list(pool.map(lambda capture: _read(capture, os.path.relpath(capture, folder), tshark), captures))
-        fixed = {f"{name}.{column['name']}" for name, entry in flights[0].fields["messages"].items()
+        fixed = {f"{name}.{column['name']}" for name, entry in flights[0].export.fields["messages"].items()
                  for column in entry["columns"] if not column["learnable"]}  # fmt: skip
         findings = [one for one in (*_summed(flights), *_shown(flights)) if one.what.rpartition(".")[0] not in fixed]
-        found = {(one.source, one.what): one.found for one in findings}
-        apart, rules = _least_apart(found), _counted(flights)
+        found, peers = {(one.source, one.what): one.found for one in findings}, defaultdict(list)
+        for one in findings:
+            peers[one.what].append(one.found)
+        rules = _counted(flights)
         for one in findings:
             # A mean has the margin of the values: those of a few flights may lie close together.
             name, _, measure = one.what.rpartition(".")
             covered = found[one.source, f"{name}.numbers"] if measure == "mean" else one.found
-            rules.append(_rule(one, covered, apart[one.what]))
+            # The flights of one controller may be alike by chance: they are apart as those of most controllers.
+            own = peers[one.what]
+            below = median(_apart([low for low, _, _ in rows], -1) for rows in own)
+            above = median(_apart([high for _, high, _ in rows], 1) for rows in own)
+            rules.append(_rule(one, covered, (below, above)))
         head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"))
         # The gate itself says which rules these flights keep.
-        text = _text(head, rules)
+        text, by_key = _text(head, rules), {(rule.source, rule.text): rule for rule in rules}
         verdicts = pool.map(lambda capture: tshark.ask(capture, ["check,rules=rules,json"], text)[0], captures)
-        _mark_lost(rules, dict(zip((one.name for one in flights), verdicts, strict=True)))
-    said = [f"{one.name}: {text}" for one in flights for text in one.lacks if not text.startswith(OF_CHECK)]
+        for flight, rows in zip(flights, verdicts, strict=True):
+            for row in (row for row in rows if row["ok"] is not True):
+                if rule := by_key.get((row["source"] or "", row["rule"])) or by_key.get(("", row["rule"])):
+                    seen = " ".join(str(row[key]) for key in ("seen", "note") if row[key] is not None)
+                    rule.lost = f"{flight.name} does not keep it ({seen})"
+    said = [f"{one.name}: {text}" for one in flights for text in one.export.lacks if not text.startswith(OF_CHECK)]
     return _text(head, rules), said
 
 
@@ -122,14 +128,14 @@ def _read(capture: Path, name: str, tshark: Tshark) -> Good:
         flight = Flight(capture, export)
     names = {(row["bus"], row["id"]): row["source"] or "" for row in export.records["summary"]}
     own = [(names.get(next(iter(one.ids)), ""), one) for one in samples(flight, start=flight.start()).values()]
-    return Good(name, export.records, export.lacks, export.fields, own)
+    return Good(name, export, own)
 
 
 def _summed(flights: Sequence[Good]) -> Iterator[Finding]:
     """Yield rates, gaps, ranges and means of the summaries, and the ratios of means."""
-    units = {(name, column["name"]): column["unit"] for name, entry in flights[0].fields["messages"].items()
+    units = {(name, column["name"]): column["unit"] for name, entry in flights[0].export.fields["messages"].items()
              for column in entry["columns"]}  # fmt: skip
-    rows = [(one.name, row) for one in flights for row in one.records["summary"] if row["message"]]
+    rows = [(one.name, row) for one in flights for row in one.export.records["summary"] if row["message"]]
     nameless = {row["message"] for _, row in rows if not row["source"]}
     found: dict[tuple[str, str], list[Extreme]] = defaultdict(list)
     means: dict[tuple[str, str, str], dict[str, Record]] = defaultdict(dict)
@@ -145,18 +151,13 @@ def _summed(flights: Sequence[Good]) -> Iterator[Finding]:
             if low is not None:
                 found[source, f"{message}.{what}"].append((float(low), float(high), name))
     for (name, message, each), values in means.items():
-        for source, ratio in _ratios(values).items():
-            found[source, f"{message}.{each}.ratio"].append((ratio, ratio, name))
+        own = {source: float(value["mean"] or 0) for source, value in values.items()}
+        largest = max(float(value["max"] or 0) for value in values.values())
+        if len(own) > 1 and largest > 0 and min(own.values()) >= largest * LEAST_LOAD:
+            for source, mean in own.items():
+                ratio = mean / median(own[other] for other in own if other != source)
+                found[source, f"{message}.{each}.ratio"].append((ratio, ratio, name))
     return (Finding(*key, ends) for key, ends in found.items())
-
-
-def _ratios(values: dict[str, Record]) -> dict[str, float]:
-    """Return by source its mean, divided by the median of the others' means; nothing where a mean is about 0."""
-    means = {source: float(each["mean"] or 0) for source, each in values.items()}
-    largest = max(float(each["max"] or 0) for each in values.values())
-    if len(means) < 2 or largest <= 0 or min(means.values()) < largest * LEAST_LOAD:
-        return {}
-    return {one: mean / median(means[other] for other in means if other != one) for one, mean in means.items()}
 
 
 # ---- what values show: noise, limits over another field, and means under a condition
@@ -173,7 +174,7 @@ def _shown(flights: Sequence[Good]) -> Iterator[Finding]:
     for source, name, one in every:
         found["" if one.message in nameless else source, one.message].append((name, one))
     for (source, message), own in found.items():
-        less = differences(flights[0].fields["messages"][message])
+        less = differences(flights[0].export.fields["messages"][message])
         for finding in [*_noises(message, own), *_under_load(message, own, less)]:
             if len({end for low, high, _ in finding.found for end in (low, high)}) > 1:
                 finding.source = source
@@ -182,7 +183,8 @@ def _shown(flights: Sequence[Good]) -> Iterator[Finding]:
 
 def _noises(message: str, found: Found) -> Iterator[Finding]:
     """Yield how far values lie from the mean of their neighbours, as the rule `noise` has it."""
-    for name in set(found[0][1].names("value")) - set(found[0][1].names("value", *DEGREES)):
+    lead = found[0][1]
+    for name in (name for name in lead.names("value") if lead.unit_of(name) not in DEGREES):
         ends = []
         for flight, one in found:
             good = one.columns[name][np.isfinite(one.columns[name])]
@@ -243,7 +245,7 @@ def _over(message: str, found: Found, names: tuple[str, str], hold: tuple[int, f
     they lie.
     """
     value, other = names
-    rows = _curve([_running(one.columns[other], one.columns[value]) for _, one in found])
+    rows = _curve(found, value, other)
     if len(rows) < 2:
         return
     points, centres, scatter = (np.array(each) for each in zip(*rows, strict=True))
@@ -269,14 +271,13 @@ def _over(message: str, found: Found, names: tuple[str, str], hold: tuple[int, f
     yield Finding("", f"{message}.{value}.over({other})", ends, write)
 
 
-def _running(x: Array, y: Array) -> tuple[Array, Array]:
-    good = np.isfinite(x) & np.isfinite(y)
-    good[good] = np.abs(x[good]) > RUNNING * np.max(np.abs(x[good]), initial=0.0)
-    return x[good], y[good]
-
-
-def _curve(pairs: Sequence[tuple[Array, Array]]) -> list[tuple[float, float, float]]:
+def _curve(found: Found, value: str, other: str) -> list[tuple[float, float, float]]:
     """Return point, centre and scatter of values over another field: where enough flights have enough samples."""
+    pairs = []
+    for x, y in ((one.columns[other], one.columns[value]) for _, one in found):
+        good = np.isfinite(x) & np.isfinite(y)
+        good[good] = np.abs(x[good]) > RUNNING * np.max(np.abs(x[good]), initial=0.0)
+        pairs.append((x[good], y[good]))
     if not any(len(x) for x, _ in pairs):
         return []
     every_x, every_y = (np.concatenate(each) for each in zip(*pairs, strict=True))
@@ -314,23 +315,6 @@ def _conditional(message: str, found: Found, value: str, other: str) -> Iterator
 
 
 # ---- limits
-
-
-def _least_apart(extremes: dict[tuple[str, str], list[Extreme]]) -> dict[str, tuple[float, float]]:
-    """Return by name of a rule how far flights are apart at least, below and above.
-
-    The flights of one controller may be alike by chance: they are apart as those of most controllers.
-    """
-    sources = defaultdict(list)
-    for (_, what), found in extremes.items():
-        sources[what].append(found)
-    return {
-        what: (
-            median(_apart([low for low, _, _ in found], -1) for found in peers),
-            median(_apart([high for _, high, _ in found], 1) for found in peers),
-        )
-        for what, peers in sources.items()
-    }
 
 
 def _rule(one: Finding, covered: list[Extreme], apart: tuple[float, float]) -> Rule:
@@ -392,7 +376,7 @@ def _counted(flights: Sequence[Good]) -> list[Rule]:
     """Return the rules of `check` alone: each with 0, or with what good flights have."""
     seen: dict[str, dict[str, float]] = defaultdict(dict)
     for flight in flights:
-        for row in flight.records["check"]:
+        for row in flight.export.records["check"]:
             counts = seen[row["rule"].partition("=")[0]]
             counts[flight.name] = max(counts.get(flight.name, 0.0), float(row["seen"] or 0))
     rules = []
@@ -402,16 +386,6 @@ def _counted(flights: Sequence[Good]) -> list[Rule]:
         whole = math.ceil(float(limit))
         rules.append(Rule("", f"{kind}={whole}", most if whole else ""))
     return rules
-
-
-def _mark_lost(rules: list[Rule], flights: dict[str, list[Record]]) -> None:
-    """Note which rules the gate says that a flight does not keep."""
-    by_key = {(rule.source, rule.text): rule for rule in rules}
-    for name, verdicts in flights.items():
-        for verdict in (verdict for verdict in verdicts if verdict["ok"] is not True):
-            if rule := by_key.get((verdict["source"] or "", verdict["rule"])) or by_key.get(("", verdict["rule"])):
-                seen = " ".join(str(verdict[key]) for key in ("seen", "note") if verdict[key] is not None)
-                rule.lost = f"{name} does not keep it ({seen})"
 
 
 def _text(head: str, rules: list[Rule]) -> str:

@@ -6,8 +6,6 @@ some seconds, which are taken to be independent: what differs between blocks, no
 mean.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -31,20 +29,12 @@ class Change:
 
     def within(self, chance: float = 0.025) -> tuple[float, float]:
         """Return the interval, beyond each end of which the true change lies by this chance: 0.025 for 95 %."""
-        reach = quantile(1 - chance, self.freedom) * self.error
+        z = NormalDist().inv_cdf(1 - chance)
+        # The quantile of Student's t: Cornish and Fisher's series, good from 8 degrees of freedom on.
+        first, second = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96
+        third = (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
+        reach = (z + first / self.freedom + second / self.freedom**2 + third / self.freedom**3) * self.error
         return self.value - reach, self.value + reach
-
-    def less(self, value: float) -> Change:
-        """Return the change beyond that of others."""
-        return Change(self.value - value, self.error, self.freedom)
-
-
-def quantile(share: float, freedom: float) -> float:
-    """Return the quantile of Student's t (Cornish and Fisher's series, good from 8 degrees of freedom on)."""
-    z = NormalDist().inv_cdf(share)
-    first, second = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96
-    third = (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
-    return z + first / freedom + second / freedom**2 + third / freedom**3
 
 
 def change(times: Array, values: Array, is_after: Array, load: Array | None = None) -> Change | None:
@@ -126,7 +116,7 @@ class Load:
     heat: Array
 
     @classmethod
-    def of(cls, lead: Samples) -> Load | None:
+    def of(cls, lead: Samples) -> "Load | None":
         """Return the load of a controller, from the message that has its speed; None without one."""
         pair, supply = lead.speed(), lead.supply()
         if pair is None:
@@ -135,12 +125,7 @@ class Load:
         volts = smoothed(lead.times, lead.columns[supply[0]], SLOW)[:, 0] if supply else np.zeros(len(speed))
         return cls(lead.times, speed, volts, smoothed(lead.times, np.nan_to_num(speed) ** 2, *MEMORY))
 
-    @classmethod
-    def joined(cls, loads: Sequence[Load]) -> Load:
-        """Return several loads as one, one behind the other."""
-        return cls(*(np.concatenate(each) for each in zip(*(vars(load).values() for load in loads), strict=True)))
-
-    def at(self, times: Array) -> Load:
+    def at(self, times: Array) -> "Load":
         """Return the load at other times: that of the latest sample, NaN five seconds behind it."""
         at = np.maximum(np.searchsorted(self.times, times, side="right") - 1, 0)
         gone = np.abs(times - self.times[at]) > 5
@@ -155,7 +140,7 @@ class Load:
         x = self.speed / unit
         return np.column_stack([x, x**2, x**3, *(self.heat.T / unit**2 if has_heat else [])])
 
-    def bins(self, count: int = 12, width: float = 0.05) -> Array:
+    def bins(self) -> Array:
         """Return the number of each sample's bin, of speed and voltage; -1 where the motor stands or nothing is known.
 
         A number is 16 times the bin of speed, plus that of voltage.
@@ -164,8 +149,8 @@ class Load:
         if not good.any():
             return np.full(len(self.speed), -1)
         top, usual = float(np.nanquantile(self.speed, 0.98)), float(np.nanmedian(self.volts))
-        rows = np.clip(np.nan_to_num(self.speed) / max(top, 1e-9) * count, 0, count + 3).astype(int)
-        steps = np.nan_to_num((self.volts - usual) / max(abs(usual) * width, 1e-9))
+        rows = np.clip(np.nan_to_num(self.speed) / max(top, 1e-9) * 12, 0, 15).astype(int)
+        steps = np.nan_to_num((self.volts - usual) / max(abs(usual) * 0.05, 1e-9))
         columns = np.clip(np.round(steps) + 8, 0, 15).astype(int)
         return np.where(good & (self.speed > RUNNING * top), rows * 16 + columns, -1)
 
@@ -234,7 +219,7 @@ class Following:
     predicted: Array
 
     @classmethod
-    def of(cls, samples: Mapping[tuple[str, str], Samples], own: Samples) -> Following | None:
+    def of(cls, samples: Mapping[tuple[str, str], Samples], own: Samples) -> "Following | None":
         """Return how a controller's value follows; None where its command hardly changes."""
         pair = own.speed()
         if pair is None:
@@ -271,9 +256,8 @@ def responses(runs: Sequence[Following]) -> list[tuple[float, float, int]]:
     All runs have one shape of the response, each has its own delay: those of the least squares. The error is that of
     the jackknife: each block is left out once.
     """
-    sums = [
-        sum(min(run.squares(shape, lag).sum() for lag in LAGS[::3]) for run in runs) for shape in range(len(SHAPES))
-    ]
+    shapes = range(len(SHAPES))
+    sums = [sum(min(run.squares(each, lag).sum() for lag in LAGS[::3]) for run in runs) for each in shapes]
     shape, found = int(np.argmin(sums)), []
     for run in runs:
         block = np.unique(np.floor(run.times / (2 * BLOCK)), return_inverse=True)[1]

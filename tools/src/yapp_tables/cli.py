@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """The command: yapp-tables convert, report, case, diff, trend, baseline; install, check, uninstall."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 import sys
@@ -12,10 +10,9 @@ from pathlib import Path
 from types import ModuleType
 
 from . import __version__, baseline, install
-from .case import write_case
 from .convert import KINDS, convert, find
 from .errors import SetupError, YappError, count_of
-from .report import write_page
+from .report import write_case, write_page
 from .scratch import write_whole
 from .tshark import Tshark
 
@@ -27,10 +24,7 @@ EXAMPLES = {
     "case": ("run.pcapng --out case.zip", "run.pcapng 2 -o yapp.motor_ids:0x210,0x211 --out case.zip"),
     "diff": ("before.pcapng after.pcapng", "'old/*.pcapng' 'new/*.pcapng' --rules flight.rules --junit diff.xml"),
     "trend": ("data", "data --out trend.html"),
-    "baseline": (
-        "'good/*.pcapng' --out flight.rules",
-        "'good/*.pcapng' --out flight.rules -o yapp.motor_ids:0x210,0x211",
-    ),
+    "baseline": ("'good/*.pcapng' --out flight.rules", "good --out flight.rules -o yapp.motor_ids:0x210,0x211"),
     "install": ("", "&& yapp-tables check"),
     "check": ("", "|| yapp-tables install"),
     "uninstall": ("", "--purge"),
@@ -66,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     how.add_argument("-o", dest="options", action="append", default=[], metavar="NAME:VALUE", help="a preference")
     how.add_argument("-C", dest="profile", metavar="PROFILE", help="a profile of Wireshark's")
     how.add_argument("--filter", metavar="EXPRESSION", help="a display filter: only these messages")
+    how.add_argument("--bitrate", type=_positive, metavar="500000", help="of the CAN buses: also a table of these")
     how.add_argument("--plugin", metavar="PATH", help="yapp.lua, where the plugin is not installed")
     how.add_argument("--tshark", metavar="PATH", help="the program, where it is not in PATH")
 
@@ -78,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
 
     report = commands.add_parser("report", parents=[how], help="a page of a capture")
     report.add_argument("--out", metavar="PAGE.html", help="the page, without it one named as the capture")
-    report.add_argument("--rules", metavar="flight.rules", help="rules: their ranges are limits in the pictures")
+    report.add_argument("--rules", metavar="FILE", help="rules: their ranges are limits in the pictures")
 
     case = commands.add_parser("case", parents=[how], help="a fault for the vendor: its frames, card, page, versions")
     for command in (report, case):
@@ -123,13 +118,12 @@ def _positive(text: str) -> int:
 
 def _rules(given: argparse.Namespace) -> Path | None:
     """Return the file of rules, if one is given. Raises SetupError if it cannot be read."""
-    if not given.rules:
-        return None
     try:
-        Path(given.rules).open().close()
+        if given.rules:
+            Path(given.rules).open().close()
     except OSError as error:
         raise SetupError(f"{given.rules} cannot be read: {error.strerror}") from error
-    return Path(given.rules)
+    return Path(given.rules) if given.rules else None
 
 
 def _say(texts: Iterable[str]) -> None:
@@ -142,7 +136,7 @@ def _install(given: argparse.Namespace) -> int:
 
 
 def _tshark(given: argparse.Namespace) -> Tshark:
-    return Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile)
+    return Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile, given.bitrate)
 
 
 class _NoPandas(MetaPathFinder):
@@ -159,15 +153,8 @@ def _convert(given: argparse.Namespace) -> int:
     logging.disable(logging.CRITICAL)
     if given.to != "mf4":
         sys.meta_path.insert(0, _NoPandas())
-    results = convert(
-        given.captures,
-        given.out,
-        to=given.to,
-        jobs=given.jobs,
-        scheduler=given.scheduler,
-        bench=given.bench,
-        **vars(_tshark(given)),
-    )
+    how = {"to": given.to, "jobs": given.jobs, "scheduler": given.scheduler, "bench": given.bench}
+    results = convert(given.captures, given.out, **how, **vars(_tshark(given)))
     for result in results:
         partial = f"read in part: {result.partial}" if result.partial else None
         said = (result.failure, partial, *result.lacks, *result.notes)
@@ -197,25 +184,25 @@ def _case(given: argparse.Namespace) -> int:
 def _diff(given: argparse.Namespace) -> int:
     from . import diff  # its libraries take a while
 
-    before, after = find(given.before), find(given.after)
-    found = diff.compare(before, after, _tshark(given), _rules(given))
+    found = diff.compare(find(given.before), find(given.after), _tshark(given), _rules(given))
     if given.junit:
         write_whole(Path(given.junit), diff.junit(found))
-    return _print(given, diff, found) or found.code
+    _print(given, diff, found)
+    return found.code
 
 
 def _trend(given: argparse.Namespace) -> int:
     from . import trend
 
-    return _print(given, trend, trend.drifts(Path(given.data)))
+    _print(given, trend, trend.drifts(Path(given.data)))
+    return 0
 
 
-def _print(given: argparse.Namespace, module: ModuleType, found: object) -> int:
+def _print(given: argparse.Namespace, module: ModuleType, found: object) -> None:
     if given.out:
         write_whole(Path(given.out), module.page(found))
     for line in module.json_lines(found) if given.json else module.lines(found):
         print(line)
-    return 0
 
 
 def _baseline(given: argparse.Namespace) -> int:

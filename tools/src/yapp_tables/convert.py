@@ -4,8 +4,6 @@
 Of each capture, tshark writes aside, a writer makes files of that, and they are moved to their place.
 """
 
-from __future__ import annotations
-
 import glob
 import os
 import re
@@ -143,8 +141,8 @@ def writer(to: str) -> Writer:
 
 def made_by(tshark: Tshark, fields: Record) -> str:
     """Return what results of this tshark depend on, from its fields.json: plugin, catalogue, options and filter."""
-    profile = f"-C {tshark.profile}" if tshark.profile else ""
-    parts = (f"plugin {fields['plugin']}", catalogue_version(fields), *tshark.options, profile, tshark.filter)
+    more = [f"-C {tshark.profile}" if tshark.profile else "", f"bitrate {tshark.bitrate}" if tshark.bitrate else ""]
+    parts = (f"plugin {fields['plugin']}", catalogue_version(fields), *tshark.options, *more, tshark.filter)
     return "; ".join(part for part in parts if part)
 
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """A data set in a folder or a cloud: which flights it has, what is up to date, how a result gets its place at once."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

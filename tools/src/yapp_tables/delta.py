@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Delta Lake: a table for each message, `data/message=motor`, in which a transaction replaces the rows of a flight."""
 
-from __future__ import annotations
-
 import errno
 import os
 import random
 import re
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 
 import pyarrow as pa
 from deltalake import DeltaTable, write_deltalake
@@ -39,23 +38,23 @@ def write_delta(tables: Tables, target: Target) -> None:
     """Put the rows of a flight in place of those that are there; a column that is new extends the table."""
     how = {"mode": "overwrite", "predicate": _is(target.flight_id), "schema_mode": "merge"}
     for name, rows in tables.items():
-        _again(write_deltalake, _url(target.url, name), _rows(rows), **how)
+        _again(partial(write_deltalake, _url(target.url, name), _rows(rows), **how))
 
 
 def delete(url: str, flight: str, messages: Iterable[str]) -> None:
     """Remove the rows of a flight."""
     for message in messages:
-        _again(_table, url, message, lambda table: table.delete(_is(flight)))
+        _again(partial(_delete, _url(url, message), flight))
 
 
-def _table(url: str, message: str, work: Callable[[DeltaTable], object]) -> None:
-    work(DeltaTable(_url(url, message)))
+def _delete(place: str, flight: str) -> None:
+    DeltaTable(place).delete(_is(flight))
 
 
-def _again(work: Callable[..., object], *what: object, **how: object) -> None:
+def _again(work: Callable[[], object]) -> None:
     for number in range(TRIES):
         try:
-            work(*what, **how)
+            work()
             return
         except TableNotFoundError:
             return

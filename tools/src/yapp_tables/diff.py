@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Two runs, one verdict: whether they can be compared, then what got worse, better, or is another. docs/compare.md."""
 
-from __future__ import annotations
-
 import html
 import json
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -90,8 +88,8 @@ class Pair:
 
     def load(self) -> Load | None:
         """Return the load at the times of both."""
-        both = [load.at(one.times) for load, one in zip(self.loads, self.sides, strict=True) if load]
-        return Load.joined(both) if len(both) == 2 else None
+        both = [vars(load.at(one.times)).values() for load, one in zip(self.loads, self.sides, strict=True) if load]
+        return Load(*map(np.concatenate, zip(*both, strict=True))) if len(both) == 2 else None
 
     def column(self, name: str) -> Array:
         """Return the values of both, (n)."""
@@ -99,7 +97,7 @@ class Pair:
 
     def change(self, values: Array, good: Array, load: Array | None = None) -> Change | None:
         """Return how much higher the good values are AFTER."""
-        return change(self.times[good], values[good], self.is_after[good], None if load is None else load[good])
+        return change(self.times, np.where(good, values, np.nan), self.is_after, load)
 
     def begins(self) -> list[Record]:
         """Return the first sample of each run."""
@@ -352,7 +350,8 @@ def _judged(measured: list[_Measured], is_many: bool) -> Iterator[Finding]:
                 yield finding
         bound = LEAST_OF_ALL if name == "A" and not has_peers else kind.least
         for one in group:
-            yield from _finding(one, one.beside or one.change.less(cause), chance, bound, one.controller)
+            own = one.beside or replace(one.change, value=one.change.value - cause)
+            yield from _finding(one, own, chance, bound, one.controller)
 
 
 def _finding(one: _Measured, change: Change, chance: float, bound: float, who: str) -> Iterator[Finding]:
@@ -362,12 +361,8 @@ def _finding(one: _Measured, change: Change, chance: float, bound: float, who: s
     kind, ends = KINDS[one.kind], [change.value, *change.within()]
     if kind.is_multiple:
         numbers = [math.expm1(end) for end in ends]
-        now = one.base * (1 + numbers[0])
-        if -0.33 < numbers[0] < 0.5:
-            percents = [number * 100 for number in numbers]
-            text = f"{percents[0]:+.3g} % ({percents[1]:+.2g} to {percents[2]:+.2g} %)"
-        else:
-            text = f"{numbers[0] + 1:.3g} times ({numbers[1] + 1:.3g} to {numbers[2] + 1:.3g})"
+        now, percents = one.base * (1 + numbers[0]), [number * 100 for number in numbers]
+        text = f"{percents[0]:+.3g} % ({percents[1]:+.3g} to {percents[2]:+.3g} %)"
     else:
         numbers, unit = ends, "points" if one.unit == "%" else one.unit
         now = one.base + numbers[0]
@@ -417,11 +412,9 @@ def _interface(found: Comparison) -> Iterator[Finding]:
         one, other = pair.sides
         who, at = one.controller, pair.begins()
         if one.ids != other.ids:
-            ids = [
-                ", ".join(f"{bus or ''} 0x{ident:03x}".strip() for bus, ident in sorted(own.ids, key=str))
-                for own in pair.sides
-            ]
-            yield Finding("changed", who, f"ID of {one.title}", f"ID of {one.title} {ids[0]} -> {ids[1]}", at=at)
+            rows = ([{"bus": bus, "id": ident} for bus, ident in sorted(own.ids, key=str)] for own in pair.sides)
+            was, now = (", ".join(map(source_name, own)) for own in rows)
+            yield Finding("changed", who, f"ID of {one.title}", f"ID of {one.title} {was} -> {now}", at=at)
         sizes = [sorted(run.sizes[who, one.message]) for run in pair.runs]
         if sizes[0] != sizes[1] and all(sizes):
             texts = [" and ".join(map(str, own)) for own in sizes]
@@ -431,8 +424,8 @@ def _interface(found: Comparison) -> Iterator[Finding]:
             yield Finding(kind, who, f"size of {one.title}", text, "bytes", numbers, 3.0, at)
         for name in one.names("enum"):
             title = one.title_of(name)
-            was, now = (own.texts.get(name, set()) for own in pair.sides)
-            news = [f"{text} is new" for text in sorted(now - was)] + [f"{text} is gone" for text in sorted(was - now)]
+            old, new = (own.texts.get(name, set()) for own in pair.sides)
+            news = [f"{text} is new" for text in sorted(new - old)] + [f"{text} is gone" for text in sorted(old - new)]
             if news:
                 yield Finding("changed", who, title, f"{title}: {', '.join(news)}", at=at)
 

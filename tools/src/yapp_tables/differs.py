@@ -5,8 +5,6 @@ An innocent one must not be accused. So the others have to agree among themselve
 one is, and nobody is compared while a Command is disabled or lost, or the controller itself reboots or is silent.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Iterator, Sequence
@@ -223,22 +221,11 @@ class Limits:
         return max(own[0], general[0]), min(own[1], general[1])
 
 
-def minutes_left(times: Array, values: Array, high: float) -> float | None:
-    """Return how long it takes to a limit, if it rises as in the last minute; None if it rises by less than 1.
-
-    times: seconds.
-    """
-    last = times[np.isfinite(values)][-1:]
-    use = np.isfinite(values) & (times > last - 60)
-    if not np.isfinite(high) or use.sum() < 3 or np.ptp(times[use]) < 30:
-        return None
-    rate = float(np.polyfit(times[use] / 60, values[use], 1)[0])
-    need = high - float(np.median(values[use & (times > last - 6)]))
-    return need / rate if rate >= 1 and need > 0 else None
-
-
 def beyond(one: Samples, name: str, limits: tuple[float, float]) -> list[Record]:
-    """Say when a value was outside its limits first and last, how far at most, and for how long."""
+    """Say when a value was outside its limits first and last, how far at most, and for how long.
+
+    Else, if it rises by 1 a minute as in the last minute of the flight, and is there within ten, how long it takes.
+    """
     found, values = [], one.columns[name]
     for word, limit, sign in zip(("below", "above"), limits, (-1, 1), strict=True):
         out = sign * values > sign * limit
@@ -246,11 +233,14 @@ def beyond(one: Samples, name: str, limits: tuple[float, float]) -> list[Record]
             span = {"at": float(one.times[out][0]), "end": float(one.times[out][-1] + one.every)}
             how = {"kind": "limit", "limit": limit, "word": word, "seconds": float(out.sum() * one.every)}
             found.append(span | how | {"value": sign * float(np.nanmax(sign * values))})
-    rising = np.where(one.flying, values, np.nan)  # only in flight it goes on to rise
-    left = minutes_left(one.times, rising, limits[1])
-    if left is not None and left < 10 and not found:
-        last = np.flatnonzero(np.isfinite(rising))[-1]
-        at, now = float(one.times[last]), float(values[last])
-        found.append({"kind": "left", "at": at - 60, "end": at, "limit": limits[1], "value": now, "seconds": left * 60})
+    rising = np.isfinite(values) & one.flying  # only in flight it goes on to rise
+    last = one.times[rising][-1:]
+    use = rising & (one.times > last - 60)
+    if not found and np.isfinite(limits[1]) and use.sum() > 2 and np.ptp(one.times[use]) >= 30:
+        rate = float(np.polyfit(one.times[use] / 60, values[use], 1)[0])
+        need = limits[1] - float(np.median(values[use & (one.times > last - 6)]))
+        if rate >= 1 and 0 < need < 10 * rate:
+            span = {"at": float(last[0]) - 60, "end": float(last[0]), "value": float(values[rising][-1])}
+            found.append(span | {"kind": "left", "limit": limits[1], "seconds": need / rate * 60})
     about = {"source": one.name, "field": name, "title": one.title_of(name), "unit": one.unit_of(name)}
     return [about | row | {"is_supply": name in (one.supply() or ())} for row in found]

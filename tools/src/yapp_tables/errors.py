@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What can go wrong, each as a sentence for the person at the keyboard."""
 
-from __future__ import annotations
-
 import importlib
 from types import ModuleType
 

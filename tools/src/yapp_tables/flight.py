@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """A capture in a notebook: its messages as tables."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal
@@ -16,11 +14,10 @@ import pyarrow.compute as pc
 from .dataset import StrPath, flight_id
 from .errors import CaptureError, MessageError, count_of
 from .incidents import faults_in
-from .records import TABLES, column, columns_of, faults, table, to_write
 from .scratch import scratch
 from .series import samples
 from .steps import aligned, point_columns, points, steps
-from .tables import catalogue_version, present, read_rows
+from .tables import TABLES, catalogue_version, columns_of, faults, present, read_rows, record_column, table, to_write
 from .tables import messages as catalogue
 from .tshark import Export, Record, Tshark
 
@@ -36,6 +33,7 @@ class Flight(Mapping[str, pa.Table]):
     name, flight_id: the capture's file name, and a name of its content;
     events: (n, kind, time, ...) faults, reboots, silences, bad CRCs, lost frames; times UTC in ns, lengths in seconds;
     faults: of these the flags raised and cleared; summary: a row for each bus and ID, rates in Hz, gaps in seconds;
+    buses: a row for each CAN bus, if bitrate is given;
     messages: {name: pyarrow.Schema}, what the catalogue says of them; plugin: its version;
     left_out: sentences on all that the capture has and the tables do not; empty where they are complete;
     partial: why a capture could not be read to its end; notes: sentences on copies.
@@ -50,6 +48,7 @@ class Flight(Mapping[str, pa.Table]):
         self.events = table(export.records["events"], self.records["events"])
         self.faults = faults(self.events, self.records["faults"])
         self.summary = table(export.records["summary"], self.records["summary"])
+        self.buses = table(export.records["buses"], self.records["buses"])
         known, found = catalogue(export.fields), present(export)
         if not found:
             raise CaptureError(": ".join([f"{capture}: no YAPP messages in it", *self.left_out]))
@@ -99,7 +98,7 @@ class Flight(Mapping[str, pa.Table]):
         bench = aligned(log, found) if log else None
         if bench:
             self.notes.append(bench.said)
-        columns = [column(*each) for each in point_columns(found, bench)]
+        columns = [record_column(*each) for each in point_columns(found, bench)]
 
         def timed(rows: Iterator[Record], schema: pa.Schema) -> pa.Table:
             return table((row | {"time": Decimal(start + round(row["at"] * 1e9)).scaleb(-9)} for row in rows), schema)
@@ -108,6 +107,7 @@ class Flight(Mapping[str, pa.Table]):
             "events": self.events,
             "faults": self.faults,
             "summary": self.summary,
+            "buses": self.buses,
             "steps": timed(steps(found), self.records["steps"]),
             "points": timed(points(found, bench), pa.schema([*self.records["points"], *columns])),
             "flights": pa.Table.from_pylist([self._row(capture, options)], self.records["flights"]),
@@ -118,12 +118,9 @@ class Flight(Mapping[str, pa.Table]):
     def _row(self, capture: Path, options: Sequence[str]) -> Record:
         """Return the row of `flights`."""
         ends = sorted((rows["frame"][at].as_py(), rows["time"][at].value) for rows in self.values() for at in (0, -1))
+        start, last = ends[0][1], ends[-1][1]
         events = self.events.filter(pc.equal(self.events["kind"].cast(pa.string()), "clock"))
         steps = [step for step in events["length"].to_pylist() if abs(step or 0) > SET]
-        start, last = ends[0][1], ends[-1][1]
-        length = (last - start) / 1e9 - sum(steps)
-        if start < YEAR_2000 <= last:  # the recorder got the time after a while
-            start = last - round(length * 1e9)
         left_out = [*self.left_out[bool(self.partial) :], *self.notes]
         if steps:
             times = count_of(len(steps), "time")
@@ -133,9 +130,7 @@ class Flight(Mapping[str, pa.Table]):
         return {
             "capture": str(capture),
             "start": start if start >= YEAR_2000 else None,
-            "length": length,
-            "is_absolute": start >= YEAR_2000,
-            "clock_resets": len(steps),
+            "length": (last - start) / 1e9 - sum(steps),
             "plugin": self.plugin,
             "tools": version("yapp-tables"),
             "options": " ".join(options),

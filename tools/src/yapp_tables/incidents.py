@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What went wrong in a flight: events as rows, rows as incidents."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Controllers beside each other: a matrix of measures, in which the odd one is seen at once, and small multiples."""
 
-from __future__ import annotations
-
 import html
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -10,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .differs import Found, Windows
 from .series import DEGREES, LATE, Array, Samples, thin
 from .tshark import Record
 
@@ -22,7 +21,6 @@ USUAL = 0.02
 LEAST = {"°C": 1.0, "": 0.1, "V": 0.05, "A": 0.1, "W": 1.0, "RPM": 1.0}
 COLUMNS, SAMPLES = 7, 300  # of the small multiples
 WIDTH, HEIGHT = 600, 100  # of a picture, in its own units
-Found = Sequence[Samples]  # one message of all sources
 
 
 class Matrix:
@@ -65,7 +63,11 @@ class Matrix:
                 self._add(one, pair[1], "power peak", "W", watts, np.nanmax)
                 self._add(one, pair[1], "energy", "Wh", energy, np.nansum)
                 self._add(one, pair[1], "charge", "Ah", charge, np.nansum)
-                self._add(one, pair[0], "sag", "V", _sags(one, volts), np.nanmax)
+                # How far a value lies below the highest of the last seconds.
+                size, known = max(1, round(SAG / one.every)), np.where(np.isfinite(volts), volts, -np.inf)
+                padded = np.concatenate([np.full(size - 1, -np.inf), known])
+                highest = np.lib.stride_tricks.sliding_window_view(padded, size).max(axis=1)
+                self._add(one, pair[0], "sag", "V", highest - volts, np.nanmax)
             if pair := one.speed():
                 error = np.where(one.flying, np.abs(one.columns[pair[0]] - one.columns[pair[1]]), np.nan)
                 self._add(one, pair[0], "error mean", one.unit_of(pair[0]), error, np.nanmean)
@@ -79,15 +81,43 @@ class Matrix:
 
     def html(self) -> str:
         """Return it as a table; a click on a row shows the lines of this controller only."""
-        heads = "".join(
-            f"<th>{html.escape(f'{title}, {unit}' if unit else title)}</th>" for title, unit, _ in self.cells
-        )
+        titles = (f"{title}, {unit}" if unit else title for title, unit, _ in self.cells)
+        heads = "".join(f"<th>{html.escape(title)}</th>" for title in titles)
         lines = [f"<thead><tr><th>controller</th>{heads}</tr></thead>"]
         for who, label in self.labels.items():
             # The mean of a part of the flight is no measure of the controller.
             cells = [_cell(values, unit, figure, who, who in self.silent and title.endswith("mean"))
                      for (title, unit, figure), values in self.cells.items()]  # fmt: skip
             lines.append(_line(who, label, cells))
+        return "".join(lines)
+
+    def multiples(self, length: float, faults: Mapping[int, Sequence[tuple[float, float]]], named: set[str]) -> str:
+        """Return a table of small pictures without a script: a row a controller, a column a value, one y axis a column.
+
+        length: of the flight, in seconds; faults: {controller: [(begin, end)]}, drawn as bands; named: the fields that
+        findings name.
+        """
+        heads: list[str] = []
+        rows: dict[int, dict[int, str]] = {}
+        for found in self.messages:
+            lead, pair = found[0], found[0].speed()
+            shown = [*(pair or ())[:1], *reversed(lead.supply() or ()), *lead.measured(*DEGREES)]
+            shown += [name for name in lead.names("value") if name in named]
+            for name in list(dict.fromkeys(shown))[:COLUMNS]:
+                drawn = [pair[1], name] if pair and name == pair[0] else [name]
+                values = np.concatenate([one.columns[each] for one in found for each in drawn])
+                ends = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
+                if ends[0] < ends[1]:
+                    title = html.escape(lead.title_of(name))
+                    heads.append(f"<b>{title}</b> <span class=pale>{_span(lead, name, values)}</span>")
+                    for one in found:
+                        who, bands = self.whose(one), faults.get(self.whose(one), ())
+                        about = self.sources[one.number]
+                        rows.setdefault(who, {})[len(heads)] = _picture(one, about, drawn, ends, bands, WIDTH / length)
+        lines = [f"<thead><tr><th></th>{''.join(f'<th>{head}</th>' for head in heads)}</tr></thead>"] if heads else []
+        for who, label in self.labels.items():
+            if who in rows:
+                lines.append(_line(who, label, [f"<td>{rows[who].get(at + 1, '')}</td>" for at in range(len(heads))]))
         return "".join(lines)
 
 
@@ -116,49 +146,6 @@ def _cell(values: Mapping[int, float], unit: str, figure: str, who: int, is_plai
     return f"<td{about} data-figure='{html.escape(figure)}' title='{html.escape(title)}'>{text}</td>"
 
 
-def _sags(one: Samples, values: Array) -> Array:
-    """Return how far each value lies below the highest of the last seconds."""
-    size = max(1, round(SAG / one.every))
-    padded = np.concatenate([np.full(size - 1, -np.inf), np.where(np.isfinite(values), values, -np.inf)])
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, size).max(axis=1) - values)
-
-
-# ---- small multiples, drawn without a script: a row a controller, a column a value, one y axis a column
-
-
-def multiples(
-    messages: Sequence[Found],
-    matrix: Matrix,
-    length: float,
-    faults: Mapping[int, Sequence[tuple[float, float]]],
-    named: set[str],
-) -> str:
-    """Return the table. length: of the flight, in seconds; faults: {controller: [(begin, end)]}, drawn as bands;
-    named: the fields that findings name."""
-    heads: list[str] = []
-    rows: dict[int, dict[int, str]] = {}
-    for found in messages:
-        lead, pair = found[0], found[0].speed()
-        shown = [*(pair or ())[:1], *reversed(lead.supply() or ()), *lead.measured(*DEGREES)]
-        shown += [name for name in lead.names("value") if name in named]
-        for name in list(dict.fromkeys(shown))[:COLUMNS]:
-            drawn = [pair[1], name] if pair and name == pair[0] else [name]
-            values = np.concatenate([one.columns[each] for one in found for each in drawn])
-            ends = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
-            if ends[0] < ends[1]:
-                title = html.escape(lead.title_of(name))
-                heads.append(f"<b>{title}</b> <span class=pale>{_span(lead, name, values)}</span>")
-                for one in found:
-                    who, about = matrix.whose(one), matrix.sources[one.number]
-                    bands = [(begin / length, end / length) for begin, end in faults.get(who, ())]
-                    rows.setdefault(who, {})[len(heads)] = _picture(one, about, drawn, ends, bands, length)
-    lines = [f"<thead><tr><th></th>{''.join(f'<th>{head}</th>' for head in heads)}</tr></thead>"] if heads else []
-    for who, label in matrix.labels.items():
-        if who in rows:
-            lines.append(_line(who, label, [f"<td>{rows[who].get(at + 1, '')}</td>" for at in range(len(heads))]))
-    return "".join(lines)
-
-
 def _span(one: Samples, name: str, values: Array) -> str:
     digits = DIGITS.get(one.unit_of(name), 2)
     known = values[np.isfinite(values)]
@@ -167,27 +154,22 @@ def _span(one: Samples, name: str, values: Array) -> str:
 
 
 def _picture(
-    one: Samples,
-    source: Record,
-    names: Sequence[str],
-    ends: tuple[float, float],
-    bands: Sequence[tuple[float, float]],
-    length: float,
+    one: Samples, source: Record, names: list[str], ends: tuple[float, float], bands: Windows, scale: float
 ) -> str:
     """One picture: what was commanded, pale and wide, what was measured, and bands where there was a fault.
 
-    bands: shares of the length of the flight.
+    scale: the width of a second.
     """
     times, lines = thin(one, [one.columns[name] for name in names], SAMPLES)
     shapes = "".join(
-        f"<rect class=band x='{begin * WIDTH:.0f}' width='{max((end - begin) * WIDTH, 4):.0f}' height='{HEIGHT}'/>"
+        f"<rect class=band x='{begin * scale:.0f}' width='{max((end - begin) * scale, 4):.0f}' height='{HEIGHT}'/>"
         for begin, end in bands
     )
     for kind, values in zip(("told", "own")[-len(lines) :], lines, strict=True):
         y = HEIGHT - 3 - (values - ends[0]) / (ends[1] - ends[0]) * (HEIGHT - 6)
         is_first = np.isnan(np.concatenate([[np.nan], y[:-1]]))  # a line has a gap where there is no value
         words = (f"{'M' if first else 'L'}{across:.0f} {down:.0f}" for across, down, first
-                 in zip(times * WIDTH / length, y, is_first, strict=True) if down == down)  # fmt: skip
+                 in zip(times * scale, y, is_first, strict=True) if down == down)  # fmt: skip
         shapes += f"<path class={kind} d='{''.join(words)}'/>"
     label = html.escape(f"{source['label']}, {one.title_of(names[-1])}")
     label += f": {_span(one, names[-1], one.columns[names[-1]])}"

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """MCAP: one file a capture, a topic for each source (`/motor/can0/0x210`), messages and their schemas as JSON."""
 
-from __future__ import annotations
-
 import json
 from importlib.metadata import version
 from typing import Any
@@ -58,17 +56,11 @@ def _property(column: pa.Field) -> dict[str, Any]:
     """Return what the schema says of a column; an enum is a `oneOf` of constants with titles."""
     known = said(column.metadata)
     unit, title = "s" if column.type == DURATION else known.get("unit", ""), known.get("title", column.name)
-    about: dict[str, Any] = {"type": _type(column.type), "title": title}
+    is_number = pa.types.is_floating(column.type) or column.type == DURATION
+    type_ = "integer" if pa.types.is_integer(column.type) else "number" if is_number else "string"
+    about: dict[str, Any] = {"type": "boolean" if pa.types.is_boolean(column.type) else type_, "title": title}
     about["description"] = f"{title} [{unit}]" if unit else title
     about |= {key: text for key, text in (("unit", unit), ("filter", known.get("filter"))) if text}
     if values := json.loads(known.get("values", "{}")):
         about["oneOf"] = [{"title": text, "const": int(number)} for number, text in values.items()]
     return about
-
-
-def _type(type_: pa.DataType) -> str:
-    if pa.types.is_boolean(type_):
-        return "boolean"
-    if pa.types.is_integer(type_):
-        return "integer"
-    return "number" if pa.types.is_floating(type_) or type_ == DURATION else "string"

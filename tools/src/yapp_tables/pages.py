@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What pages are made of: tables, colours, and whole pages without a script, of two runs compared and of a trend."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from .series import Array
 
 # Sixteen colours of controllers, on a light and on a dark background. Each is at least 3:1 against its background, and
 # at least 0.16 apart from each other and from the grey of Commands, in the Oklab space, where people see differences of
@@ -72,16 +74,14 @@ def pairs(rows: Sequence[tuple[str, tuple[float, float], tuple[float, float]]], 
     return f"<table>{''.join(lines)}</table>"
 
 
-def dots(values: Sequence[float], line: tuple[float, float], label: str, is_sure: bool) -> str:
-    """Return a picture of values over flights, with a line from its first to its last value."""
+def dots(values: Array, slope: float, label: str, is_sure: bool) -> str:
+    """Return a picture of values over flights, with a line of this slope through their middle."""
+    at = np.arange(len(values))
+    line = np.median(values - slope * at) + slope * at[[0, -1]]
     low, high = min(*values, *line), max(*values, *line)
-
-    def place(at: float, value: float) -> tuple[str, str]:
-        return f"{4 + 252 * at / (len(values) - 1):.1f}", f"{64 - 58 * (value - low) / ((high - low) or 1.0):.1f}"
-
-    places = [place(at, value) for at, value in enumerate(values)]
-    (x, y), (to_x, to_y) = place(0, line[0]), place(len(values) - 1, line[1])
-    shapes = "".join(f"<circle class=dot cx={across} cy={down} r=1.8 />" for across, down in places)
-    shapes += f"<line class={'sure' if is_sure else 'line'} x1={x} y1={y} x2={to_x} y2={to_y} />"
+    across = 4 + 252 * at / (len(values) - 1)
+    down, (left, right) = (64 - 58 * (each - low) / ((high - low) or 1.0) for each in (values, line))
+    shapes = "".join(f"<circle class=dot cx={x:.1f} cy={y:.1f} r=1.8 />" for x, y in zip(across, down, strict=True))
+    shapes += f"<line class={'sure' if is_sure else 'line'} x1=4 y1={left:.1f} x2=256 y2={right:.1f} />"
     about = html.escape(label)
     return f"<svg viewBox='0 0 260 70' role=img aria-label='{about}'><title>{about}</title>{shapes}</svg>"

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""One page with what went wrong and pictures of a capture; it opens offline, in any browser."""
-
-from __future__ import annotations
+"""One page with what went wrong and pictures of a capture, which opens offline; and one fault for the vendor."""
 
 import html
+import io
 import json
 import re
+import zipfile
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from decimal import Decimal
 from importlib.metadata import version
 from importlib.resources import files
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +21,23 @@ import pyarrow.compute as pc
 
 from .dataset import StrPath
 from .differs import Limits
-from .errors import SetupError, need
+from .errors import CaptureError, SetupError, need
 from .flight import Flight, read_flight
-from .incidents import events_of, excused, fault_rows, faults_in, filter_of, joined, other_rows
-from .matrix import Matrix, multiples
+from .incidents import events_of, excused, fault_rows, faults_in, filter_of, is_command, joined, other_rows
+from .install import ask
+from .matrix import Matrix
 from .pages import css
 from .pictures import Pictures, packed
-from .scratch import write_whole
-from .series import Samples, natural, samples, source_name
+from .scratch import scratch, write_whole
+from .series import Samples, controllers, natural, samples, source_name
 from .tshark import Record, Tshark
 from .verdict import head, merged, series_of
 
 CARDS = 8  # of a page
 STILL = 0.1  # of its highest speed: slower a controller does not turn
+AROUND = 2  # seconds before a fault and behind its end
+LONGEST = 20  # seconds: of a fault that stays, so much
+LATER = 1  # seconds in which a message that began in time may end
 
 
 def report(capture: StrPath, out: StrPath | None = None, *, rules: StrPath | None = None, **how: Any) -> Path:
@@ -100,17 +106,20 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
     bands: dict[int, list[tuple[float, float]]] = {}
     for row in (row for row in rows if row["kind"] == "fault"):
         bands.setdefault(pictures.sources[row["number"]]["controller"], []).append((row["begin"], row["stop"]))
-    controllers = len({source["controller"] for source in pictures.sources if not source["is_command"]})
+    count = len({source["controller"] for source in pictures.sources if not source["is_command"]})
+    about = [["plugin", flight.plugin], ["yapp-tables", version("yapp-tables")], ["catalogue", flight.catalogue]]
+    for row in flight.buses.to_pylist():
+        text = f"{row['frames']:,} frames, {row['yapp']:,} of YAPP, load {row['load'] or 0:.1%}"
+        errors = json.loads(row["other"])["errors"].items()
+        about.append([row["bus"] or "bus", "".join([text, *(f", {count} {what}" for what, count in errors if count)])])
     data = {
         "name": flight.name,
         "epoch": start / 1e9,
         "length": length,
         "left_out": flight.left_out,
-        "about": [
-            ["plugin", flight.plugin], ["yapp-tables", version("yapp-tables")], ["catalogue", flight.catalogue]
-        ],
+        "about": about,
         "incidents": sorted(incidents, key=lambda row: (not row["is_serious"], float(row["begin"]))),
-        "differs": merged(pictures.differs, controllers),
+        "differs": merged(pictures.differs, count),
         "controllers": list(matrix.labels.values()),
         "flight": pictures.phases,
         "limits": pictures.limits_told(),
@@ -127,7 +136,7 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
     parts = head(data) | {
         "/*COLOURS*/": css(),
         "/*MATRIX*/": matrix.html(),
-        "/*MULTIPLES*/": multiples(pictures.messages, matrix, length, bands, named),
+        "/*MULTIPLES*/": matrix.multiples(length, bands, named),
         "/*DATA*/": json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),
         "/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8"),
         "/*BLOB*/": packed(bytes(pictures.bytes)),
@@ -223,3 +232,75 @@ def _lanes(rows: list[Record]) -> list[Record]:
         marks["begins"] += [row["begin"]] if lasts else row["at"]
         marks["ends"] += [row["stop"]] if lasts else row["at"]
     return [lane | {"rows": list(lane["rows"].values())} for lane in lanes.values()]
+
+
+# ---- one fault for the vendor: its frames, its card, the page and the versions, in one zip
+
+
+def write_case(capture: Path, number: int, tshark: Tshark, out: Path) -> str:
+    """Write the zip of a fault, 1 for the first; returns what is in it. Raises YappError."""
+    flight = read_flight(capture, tshark, has_begin=True)
+    told, said = cards(capture, tshark, [number])
+    card = next((one for one in told if one["incident"] == number), None)
+    if card is None:
+        raise CaptureError("; ".join([f"{capture} has no fault {number}: -z yapp,faults lists all", *said]))
+    begin = Decimal(str(card["time"])) - AROUND
+    end = begin + AROUND * 2 + Decimal(min(float(card["active"] or LONGEST), LONGEST))
+    frames = _frames(capture, tshark, card, flight, begin, end)
+    who = card["source"] or f"{card['bus'] or ''} {card['id']:#x}".strip()
+    about = f"{len(frames)} frames of {who}, its Commands and bus errors, {AROUND} s around the fault"
+    versions = {
+        "case": f"fault {number} of {capture.name}: {about}",
+        "capture": f"{capture.name}, SHA-256 {flight.flight_id}...",
+        "plugin": flight.plugin,
+        "yapp-tables": version("yapp-tables"),
+        "tshark": ask(tshark.find(), "--version")[0].splitlines()[0],
+        "catalogue": flight.catalogue,
+        "options": " ".join(tshark.options) or "none",
+        "not decoded": "; ".join(flight.left_out) or "nothing",
+    }
+    with scratch() as folder:
+        part, page = folder / "frames.pcapng", folder / "page.html"
+        # Of 3, 7, 8 and 9 the filter has 3..3, 7..9.
+        spans = [[frame for _, frame in span] for _, span in groupby(enumerate(frames), lambda pair: pair[1] - pair[0])]
+        ranges = ", ".join(f"{span[0]}..{span[-1]}" for span in spans)
+        tshark.run(capture, ["-Y", f"frame.number in {{{ranges}}}", "-w", str(part)])
+        if not part.is_file():
+            raise CaptureError(f"{capture}: tshark wrote no frames of fault {number}; try -z yapp,fault,{number}")
+        write_report(flight, page, Limits(), told)
+        files = {
+            "card.txt": card.pop("text").encode(),
+            "card.json": json.dumps(card, indent=1, default=float).encode(),
+            "versions.txt": "".join(f"{key}: {value}\n" for key, value in versions.items()).encode(),
+            part.name: part.read_bytes(),
+            page.name: page.read_bytes(),
+        }
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    write_whole(out, whole.getvalue())
+    return f"{about}; {', '.join(files)}"
+
+
+def _frames(capture: Path, tshark: Tshark, card: Record, flight: Flight, begin: Decimal, end: Decimal) -> list[int]:
+    """Return the frames of all IDs of the controller, its Commands and bus errors, with all of each message."""
+    rows = flight.summary.to_pylist()
+    whose = dict(zip(((row["bus"], row["id"]) for row in rows), controllers(rows), strict=True))
+    own = whose.get((card["bus"], card["id"]))
+    ids = [row["id"] for row in rows if row["id"] is not None and row["bus"] == card["bus"]
+           and (whose[row["bus"], row["id"]] == own or is_command(flight.messages, row["message"]))]  # fmt: skip
+    wanted = f"yapp.id in {{{', '.join(map(hex, ids))}}}"
+    wanted += f' && yapp.bus == "{card["bus"]}"' if card["bus"] else ""
+    # A message that came in segments needs all packets.
+    which = f"(({wanted}) || can.flags.err == 1 || !can)"
+    window = f"frame.time_epoch >= {begin:.9f} && frame.time_epoch <= {end + LATER:.9f}"
+    names = ("frame.number", "frame.time_epoch", "yapp.fragment")
+    options = [word for name in names for word in ("-e", name)]
+    frames: set[int] = set()
+    for line in tshark.run(capture, ["-Y", f"{which} && {window}", "-T", "fields", *options]).splitlines():
+        number, time, parts = line.split("\t")
+        fragments = {int(each) for each in parts.split(",") if each}
+        if Decimal(time) <= end or fragments & frames:
+            frames |= {int(number), *fragments}
+    return sorted(frames)

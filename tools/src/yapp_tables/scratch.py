@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Folders to work in: removed when the work is done, and a day later where a run was killed."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

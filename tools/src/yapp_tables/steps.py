@@ -4,8 +4,6 @@
 How a controller answers a change of its command, and what a hold costs. Both speeds align the log.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -23,34 +21,6 @@ from .tshark import Record
 LEAST_STEP, HOLD, NEAR = 0.05, 0.5, 0.2  # share of the command's range; seconds; share of the step
 LEAST_POINT, SETTLED, LEVEL = 3.0, 1.0, 0.015  # seconds; seconds; share of the largest command
 BAND = 0.05  # of the step: what is inside has settled
-WHO = (
-    ("time", "time", "when the command changed, or the hold began, UTC", ""),
-    ("frame", "integer", "the message of the controller that comes next", ""),
-    ("bus", "string", "the bus or line; null where the capture names none", ""),
-    ("id", "id", "the message ID", ""),
-    ("controller", "string", "the name of the controller, or bus and ID", ""),
-    ("message", "string", "the message that has what was measured", ""),
-    ("field", "string", "what follows the command", ""),
-)
-STEPS = (
-    *WHO,
-    ("before", "number", "the command before, in the field's unit", ""),
-    ("after", "number", "the command from then on", ""),
-    ("hold", "number", "how long it stayed", "s"),
-    ("dead_time", "number", "until 10 % of the change were reached", "s"),
-    ("lag", "number", "until 63 %", "s"),
-    ("rise_time", "number", "from 10 % to 90 %", "s"),
-    ("overshoot", "number", "how far beyond the command, as a share of the change", ""),
-    ("settling_time", "number", "until it stayed within 5 % of the change, or its noise; null if it never did", "s"),
-    ("final_error", "number", "measured less commanded, mean of the last third of the hold", ""),
-    ("resolution", "number", "time between two messages: a time is known no better", "s"),
-)
-POINTS = (
-    *WHO,
-    ("command", "number", "the command, in the field's unit", ""),
-    ("length", "number", "how long it was held", "s"),
-    ("messages", "integer", "how many messages are in the means", ""),
-)
 
 
 def followed(found: Mapping[tuple[str, str], Samples]) -> Iterator[tuple[Samples, str, Array, Array]]:
@@ -75,6 +45,9 @@ def steps(found: Mapping[tuple[str, str], Samples]) -> Iterator[Record]:
         size = LEAST_STEP * (told.max() - told.min())
         for at in np.flatnonzero(np.abs(np.diff(told)) > max(size, 1e-9)) + 1:
             change = told[at] - told[at - 1]
+            soon = np.searchsorted(when, when[at] + HOLD)
+            if (np.abs(told[at:soon] - told[at]) > NEAR * abs(change)).any():
+                continue
             moved = np.flatnonzero(np.abs(told[at:] - told[at]) > NEAR * abs(change))
             end = when[at + moved[0]] if len(moved) else when[-1]
             if end - when[at] >= HOLD:
@@ -106,9 +79,8 @@ def _answer(one: Samples, field: str, begin: float, end: float, before: float, c
         rest = values[times > (end - begin) * 2 / 3] - 1
         # What the value does once it has settled is noise.
         band = max(BAND, 3 * float(rest.std())) if len(rest) > 4 else BAND
-        inside = (
-            max(np.flatnonzero(np.abs(values - 1) > band), default=-1) + 1
-        )  # the first sample of those that stay so
+        # The first sample of those that stay inside.
+        inside = max(np.flatnonzero(np.abs(values - 1) > band), default=-1) + 1
         record["overshoot"] = max(0.0, float(values.max()) - 1)
         record["settling_time"] = None if inside == len(times) else float(times[inside]) if inside else 0.0
         record["final_error"] = float(rest.mean() * change) if len(rest) > 1 else None
@@ -123,7 +95,7 @@ def _crossing(times: Array, values: Array, share: float) -> float | None:
     return max(0.0, float(np.interp(share, reached, times[last:]))) if is_there else None
 
 
-def points(found: Mapping[tuple[str, str], Samples], bench: Bench | None = None) -> Iterator[Record]:
+def points(found: Mapping[tuple[str, str], Samples], bench: "Bench | None" = None) -> Iterator[Record]:
     """Yield a record for each hold of LEAST_POINT seconds: means behind the first second, slopes in 1/min.
 
     bench: a thrust stand, with the times of the capture.
@@ -158,11 +130,10 @@ def _holds(when: Array, told: Array, level: float) -> Iterator[tuple[int, int]]:
 
 
 def _mean(values: Array) -> float | None:
-    good = values[np.isfinite(values)]
-    return float(good.mean()) if len(good) else None
+    return float(np.nanmean(values)) if np.isfinite(values).any() else None
 
 
-def point_columns(found: Mapping[tuple[str, str], Samples], bench: Bench | None) -> list[tuple[str, str, str, str]]:
+def point_columns(found: Mapping[tuple[str, str], Samples], bench: "Bench | None") -> list[tuple[str, str, str, str]]:
     """Return the columns of points besides POINTS: (name, type, meaning, unit)."""
     columns = {}
     for one, *_ in followed(found):
@@ -217,10 +188,10 @@ def read(path: Path) -> tuple[Array, Array, dict[str, Array]]:
     if not speed or len(times) < LEAST_ROWS:
         needs = f"{LEAST_ROWS} rows, a column of time (s, ms, ISO 8601), and one of speed (rpm), all numbers"
         raise SetupError(f"{path} is no log of a bench: it needs {needs}; it has {len(table)} rows of {names}")
-    order = np.argsort(times, kind="stable")[: np.isfinite(times).sum()]
+    good = np.isfinite(times)
     plain = {name: re.sub(r"[^0-9a-zA-Z]+", "_", name).strip("_").lower() for name in columns}
-    kept = {f"bench_{plain[name]}": values[order] for name, values in columns.items()}
-    return times[order] - times[order[0]], columns[speed][order], kept
+    kept = {f"bench_{plain[name]}": values[good] for name, values in columns.items()}
+    return times[good] - times[good][0], columns[speed][good], kept
 
 
 def aligned(path: Path, found: Mapping[tuple[str, str], Samples]) -> Bench:
@@ -239,9 +210,7 @@ def aligned(path: Path, found: Mapping[tuple[str, str], Samples]) -> Bench:
     results.sort(key=lambda each: -each[0])
     if not results or results[0][0] < LEAST:
         best = f"; the best correlation is {results[0][0]:.2f}" if results else ""
-        raise SetupError(
-            f"{path}: its speed fits no controller of the capture{best}, {LEAST} is needed: is it of this run?"
-        )
+        raise SetupError(f"{path}: its speed fits no controller{best}, {LEAST} is needed: is it of this run?")
     fit, offset, who, own_line = results[0]
     for other, where, whose, _ in results[1:]:
         if other > SECOND * fit and (whose != who or abs(where - offset) > BETWEEN):

@@ -5,12 +5,11 @@ Of a column: title, unit, display filter, role, and as JSON the meanings of an e
 "clock", "enum", "flags", "flag" or "text" (also an enum's meaning, a reserved value's name).
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -168,3 +167,119 @@ def plain(table: pa.Table) -> pa.Table:
 def repeated(text: str, count: int) -> Any:
     """Return a column of texts that are all this one."""
     return pa.repeat(text, count).dictionary_encode() if count else pa.array([], KIND)
+
+
+# ---- tables that say what happened in a flight: events, faults, summary, steps, points, and the flight itself
+
+# The types of fields.json's statistics. What has another type is an object or a list: it goes into `other`.
+TYPES = {"time": TIME, "id": pa.uint32(), "integer": pa.int64(), "number": pa.float64(), "seconds": pa.float64()}
+TYPES |= {"boolean": pa.bool_(), "string": KIND, "text": pa.string()}
+CONTROLLER = "controller", "string", "the same name: all messages of a controller have it"
+OTHER = "other", "text", "what the plugin says besides, as JSON: keys that have no column of their own"
+# A table of this package: name, type, meaning, unit. The plugin describes events, faults and summary.
+FLIGHTS = (
+    ("capture", "text", "the path of the capture, when it was converted", ""),
+    ("start", "time", "the first message, UTC; null where the capture tells no absolute time", ""),
+    ("length", "number", "from the first message to the last; without steps of the clock", "s"),
+    ("plugin", "string", "the version of the plugin", ""),
+    ("tools", "string", "the version of yapp-tables", ""),
+    ("options", "string", "the preferences", ""),
+    ("messages", "integer", "rows of all messages", ""),
+    ("faults", "integer", "incidents with a fault; events of a controller at most 2 s apart are one incident", ""),
+    ("partial", "text", "why the capture was read only in part", ""),
+    ("left_out", "text", "which messages were not decoded, and what to know of the times and of copies", ""),
+)
+WHO = (
+    ("time", "time", "when the command changed, or the hold began, UTC", ""),
+    ("frame", "integer", "the message of the controller that comes next", ""),
+    ("bus", "string", "the bus or line; null where the capture names none", ""),
+    ("id", "id", "the message ID", ""),
+    ("controller", "string", "the name of the controller, or bus and ID", ""),
+    ("message", "string", "the message that has what was measured", ""),
+    ("field", "string", "what follows the command", ""),
+)
+STEPS = (
+    *WHO,
+    ("before", "number", "the command before, in the field's unit", ""),
+    ("after", "number", "the command from then on", ""),
+    ("hold", "number", "how long it stayed", "s"),
+    ("dead_time", "number", "until 10 % of the change were reached", "s"),
+    ("lag", "number", "until 63 %", "s"),
+    ("rise_time", "number", "from 10 % to 90 %", "s"),
+    ("overshoot", "number", "how far beyond the command, as a share of the change", ""),
+    ("settling_time", "number", "until it stayed within 5 % of the change, or its noise; null if it never did", "s"),
+    ("final_error", "number", "measured less commanded, mean of the last third of the hold", ""),
+    ("resolution", "number", "time between two messages: a time is known no better", "s"),
+)
+POINTS = (
+    *WHO,
+    ("command", "number", "the command, in the field's unit", ""),
+    ("length", "number", "how long it was held", "s"),
+    ("messages", "integer", "how many messages are in the means", ""),
+)
+TABLES = ("events", "faults", "summary", "buses", "steps", "points", "flights")
+
+
+def record_column(name: str, type_: str, meaning: str, unit: str = "") -> pa.Field:
+    """Return a column of a record; type_: a word of TYPES."""
+    return column(name, TYPES[type_], "text" if TYPES[type_] in (KIND, pa.string()) else "value", meaning, unit)
+
+
+def columns_of(fields: Record, name: str) -> pa.Schema:
+    """Return the columns of a table: as the plugin's fields.json describes them, or those of this package."""
+    own = {"flights": FLIGHTS, "steps": STEPS, "points": POINTS}
+    if name in own:
+        return pa.schema([record_column(*each) for each in own[name]])
+    described = fields["statistics"][name]["columns"]
+    if name == "events":  # a fault is an event, too
+        more = fields["statistics"]["faults"]["columns"]
+        described = {each["name"]: each for each in (*described, *more)}.values()
+    found = [
+        record_column(each["name"], each["type"], each.get("help") or each.get("title") or "", each.get("unit") or "")
+        for each in described
+        if each["type"] in TYPES
+    ]
+    if name != "buses":
+        found.insert([each.name for each in found].index("source") + 1, record_column(*CONTROLLER))
+    return pa.schema(found if name == "faults" else [*found, record_column(*OTHER)])
+
+
+def table(records: Iterable[Record], columns: pa.Schema) -> pa.Table:
+    """Return JSON lines of a statistic as a table; keys without a column come as JSON in `other`."""
+    rows = []
+    for record in records:
+        row = {each.name: _cell(each.type, record.get(each.name)) for each in columns}
+        if "controller" in row:
+            row["controller"] = record.get("source")
+        more = {key: value for key, value in record.items() if key not in {*row, "values"} and value is not None}
+        if "other" in row and more:
+            row["other"] = json.dumps(more, ensure_ascii=False, default=float)
+        rows.append(row)
+    return pa.Table.from_pylist(rows, columns)
+
+
+def _cell(type_: pa.DataType, value: Any) -> Any:
+    if value is None:
+        return None
+    if type_ == TIME:
+        return int(Decimal(value).scaleb(9))
+    if type_ in (KIND, pa.string()):
+        return str(value)
+    return float(value) if isinstance(value, Decimal) else value
+
+
+def faults(events: pa.Table, columns: pa.Schema) -> pa.Table:
+    """Return the flags that were raised and cleared, of all events."""
+    is_fault = pc.equal(events["kind"].cast(pa.string()), "fault")
+    return events.filter(is_fault).select([name for name in columns.names if name in events.schema.names])
+
+
+def to_write(name: str, rows: pa.Table, flight: Record) -> pa.Table:
+    """Return records with flight_id and source_file, and `message_name`: `message` would be taken for the folder's."""
+    names = ["message_name" if each == "message" else each for each in rows.schema.names]
+    about = {"title": name.title(), "schema": str(SCHEMA)}
+    rows = rows.rename_columns(names).unify_dictionaries().replace_schema_metadata(about)
+    for at, key in enumerate(("flight_id", "source_file")):
+        head = column(key, KIND, "text")
+        rows = rows.add_column(at, head, repeated(flight[key], len(rows)))
+    return rows

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Many flights, one trend: of each controller what drifts from flight to flight at equal load. docs/compare.md."""
 
-from __future__ import annotations
-
 import html
 import json
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -78,8 +77,8 @@ def drifts(data: Path) -> Trend:
         for one in own:
             for key, means, terms in _at_load(one, loads[one.controller]):
                 rows[key].append((flight, means, terms))
-            for key, value in (*_supply(one), *_response(found, one), *_lost(one, summary)):
-                values[key].append((flight, value))
+            for title, unit, least, value in _alone(found, one, summary):
+                values[one.controller, title, unit, least].append((flight, value))
     for key, own_rows in rows.items():
         values[key] = _beyond(own_rows)
     _less_others(values)
@@ -137,31 +136,21 @@ def _at_load(one: Samples, load: Load) -> Iterator[tuple[Key, Array, Array]]:
         yield (one.controller, one.title_of(name), "x" if unit == "A" else unit, unit), means[:, 0], means[:, 1:]
 
 
-def _supply(one: Samples) -> Iterator[tuple[Key, float]]:
-    """Yield the supply's sag for each ampere, from one message to the next."""
+def _alone(found: dict[tuple[str, str], Samples], one: Samples, summary: list[Record]) -> Iterator[tuple[Any, ...]]:
+    """Yield values of which a flight has one: title, unit, key of LEAST, value."""
     if (pair := one.supply()) and one.speed():
+        # From one message to the next.
         volts, amperes = (np.diff(one.columns[name], prepend=np.nan) for name in pair)
         good = np.isfinite(volts) & np.isfinite(amperes) & (one.gaps() < 3 * one.every)
         square = float((amperes[good] ** 2).sum())
         if good.sum() > 50 and square > 0:
-            sag = -float((volts[good] * amperes[good]).sum()) / square
-            yield (one.controller, "sag of the supply", "V/A", "sag"), sag
-
-
-def _response(found: dict[tuple[str, str], Samples], one: Samples) -> Iterator[tuple[Key, float]]:
-    """Yield the lag behind the command."""
+            yield "sag of the supply", "V/A", "sag", -float((volts[good] * amperes[good]).sum()) / square
     if following := Following.of(found, one):
-        ((lag, *_),) = responses([following])
-        yield (one.controller, "response to its command", "s", "lag"), lag
-
-
-def _lost(one: Samples, summary: list[Record]) -> Iterator[tuple[Key, float]]:
-    """Yield the share of its messages that were lost."""
+        yield "response to its command", "s", "lag", responses([following])[0][0]
     for row in summary:
         if (row["bus"], row["id"]) in one.ids:
             lost = max(row.get("missing") or 0, sum(row.get(key) or 0 for key in ("crc_bad", "incomplete")))
-            key = one.controller, f"lost share of {one.title}", "", "lost"
-            yield key, lost / max(row["count"] + lost, 1)
+            yield f"lost share of {one.title}", "", "lost", lost / max(row["count"] + lost, 1)
 
 
 def _beyond(flights: Sequence[tuple[str, Array, Array]]) -> list[tuple[str, float]]:
@@ -218,15 +207,9 @@ def page(found: Trend) -> str:
     titles = list(dict.fromkeys(one.title for one in found.drifts))
     rows = [f"<tr><th>controller</th>{''.join(f'<th>{html.escape(title)}</th>' for title in titles)}</tr>"]
     for who in sorted({one.controller for one in found.drifts}):
-        own = {one.title: _picture(one) for one in found.drifts if one.controller == who}
+        own = {one.title: pages.dots(one.values, one.per_flight, one.sentence(), one.is_sure)
+               for one in found.drifts if one.controller == who}  # fmt: skip
         cells = "".join(f"<td>{own.get(title, '')}</td>" for title in titles)
         rows.append(f"<tr><th>{html.escape(who)}</th>{cells}</tr>")
     lists = [pages.listed(sure or [("", "nothing drifts")]), pages.listed([("pale", note) for note in found.notes])]
     return pages.page("Trend over flights", [*lists, f"<table>{''.join(rows)}</table>"])
-
-
-def _picture(one: Drift) -> str:
-    middle = (len(one.values) - 1) / 2
-    centre = float(np.median(one.values - one.per_flight * (np.arange(len(one.values)) - middle)))
-    ends = centre - one.per_flight * middle, centre + one.per_flight * middle
-    return pages.dots([float(value) for value in one.values], ends, one.sentence(), one.is_sure)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """tshark and the plugin: one run over one capture, its statistics written to a folder, its refusals as sentences."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -28,7 +26,6 @@ LARGE_PIECES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1", "MALLOC_TOP_PAD_": s
 PLUGIN_SAYS = "yapp: "
 # Nothing is missing then: the second message is left out.
 COPIES = re.compile(r"^\d+ messages? (was|were) recorded twice")
-STATISTICS = ("events", "summary")
 # Exit codes: a rule does not hold; a statistic leaves something out.
 BROKEN, UNDECIDED = 20, 21
 UNRELIABLE = (
@@ -69,7 +66,7 @@ class Tshark:
 
     tshark: a path or a name in PATH, None for the usual places; plugin: yapp.lua where it is not installed;
     options: preferences, ["yapp.motor_ids:0x210,0x211"]; filter: a display filter, only these messages are taken;
-    profile: a profile of Wireshark's.
+    profile: a profile of Wireshark's; bitrate: of the CAN buses, for a table of these, which takes longer.
     """
 
     tshark: str | os.PathLike[str] | None = None
@@ -77,6 +74,7 @@ class Tshark:
     options: Sequence[str] = ()
     filter: str | None = None
     profile: str | None = None
+    bitrate: int | None = None
 
     def export(self, capture: Path, folder: Path, more: Sequence[str] = ()) -> Export:
         """Write a capture's messages to folder, which is made. more: statistics besides.
@@ -85,7 +83,8 @@ class Tshark:
         """
         folder.mkdir(parents=True)
         # Relative to tshark's own folder: a comma in a path would end the option.
-        done = self._ask(capture, ["csv,csv", *(f"{name},json" for name in STATISTICS), *more], folder)
+        buses = [f"buses,bitrate={self.bitrate},json"] if self.bitrate else []
+        done = self._ask(capture, ["csv,csv", "events,json", "summary,json", *buses, *more], folder)
         if os.strerror(errno.ENOSPC) in done.stderr:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         described = folder / "csv/fields.json"
@@ -96,9 +95,10 @@ class Tshark:
         lacks = tuple(line for line in lines if line not in notes)
         if done.returncode == UNDECIDED and not lacks:
             lacks = (UNRELIABLE,)
-        records: dict[str, list[Record]] = {name: [] for name in (*STATISTICS, "check")}
+        records: dict[str, list[Record]] = {name: [] for name in ("check", "events", "buses", "summary")}
+        keys = {"rule": "check", "kind": "events", "yapp": "buses"}  # of the others' lines
         for record in _json_lines(done.stdout):
-            records["check" if "rule" in record else "events" if "kind" in record else "summary"].append(record)
+            records[next((name for key, name in keys.items() if key in record), "summary")].append(record)
         return Export(described.parent, fields, records, partial, lacks, notes)
 
     def ask(self, capture: Path, statistics: Sequence[str], rules: str = "") -> tuple[list[Record], list[str], str]:

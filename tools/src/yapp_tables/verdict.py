@@ -4,8 +4,6 @@
 Seconds have three decimals everywhere, but in a headline.
 """
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Iterable, Iterator, Sequence
