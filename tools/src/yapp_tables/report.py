@@ -212,7 +212,7 @@ def _name(incidents: list[Record], rows: list[Record], pictures: Pictures) -> No
             row |= {"number": min(known), "source": lead["name"], "label": lead["label"]}
         row["first"], row["last"] = min(one["first"] for one in row["rows"]), max(one["last"] for one in row["rows"])
         for each in (row, *row["rows"]):
-            each["frames"] = f"{each['first']:,} to {each['last']:,}"
+            each["frames"] = f"{each['first']} to {each['last']}"
             each["filter"] = filter_of(each.get("rows", [each]), each["first"], each["last"])
     for row in pictures.differs:  # whether a fault of the same controller comes with it
         its = [one for one in incidents if one["is_fault"] and one["source"] == row["source"]]
