@@ -164,3 +164,21 @@ def test_a_flight_is_where_most_turn():
     found = [samples("esc0", times, dict.fromkeys(about, np.array(speed)), 1.0, about)] * 3
     assert differs.flying(found) == [(10, 64), (70, 90)]
     assert differs.calm_samples(found[0], [(10, 64)], [(20, 30)]).sum() == 44
+
+
+@pytest.mark.parametrize(
+    ("speeds", "amperes", "said"),
+    [
+        ((3300, 3300, 3300, 3300, 3500), (20, 20, 20, 20, 26), []),  # it turns faster, and nobody as fast
+        ((3300, 3300, 3300, 3300, 3100), (20, 20, 20, 20, 26), [(4, 26, 20)]),
+        ((3300, 3300, 3300, 3500, 3500), (20, 20, 20, 24, 32), [(4, 32, 24)]),
+        ((3300, 3300, 3300, 3500, 3500), (20, 20, 20, 24, 28), []),
+    ],
+)
+def test_a_level_is_compared_at_the_same_speed(speeds, amperes, said):
+    times, found = np.arange(0, 60, 0.1), []
+    for number, (speed, current) in enumerate(zip(speeds, amperes, strict=True)):
+        columns = [np.full(len(times), value) for value in (speed, speed, 48.0, current, 40.0, 50.0)]
+        found.append(samples(f"m{number}", times, dict(zip(FIELDS, columns, strict=True))))
+    rows = [row for row in differing(found) if row["kind"] == "level" and row["field"] == "dc_current"]
+    assert [(int(row["source"][1:]), row["value"], row["beside"]) for row in rows] == said

@@ -88,7 +88,10 @@ def _temperature(found: Found, values: list[Array]) -> Iterator[Record]:
 
 
 def _level(found: Found, values: list[Array]) -> Iterator[Record]:
-    """Compare the median of the flight with that of those that turned as fast; it needs three that agree."""
+    """Compare the median of the flight with that of those that turned as fast; it needs three that agree.
+
+    If fewer turned as fast, it is odd beside them and beside all; if nobody did, only against what its speed explains.
+    """
     levels, pair = _medians(values), found[0].speed()
     speeds = _medians([np.where(one.calm, np.abs(one.columns[pair[0]]), np.nan) for one in found]) if pair else levels
     for number, level in enumerate(levels if len(found) > 3 else ()):
@@ -98,12 +101,17 @@ def _level(found: Found, values: list[Array]) -> Iterator[Record]:
         known = levels[peers & np.isfinite(levels)]
         middle = float(np.median(known)) if len(known) > 2 else np.nan
         near = np.sort(np.abs(known - middle))[: int(np.ceil(AGREE * len(known)))]
-        away = abs(level - middle)
+        same = levels[alike & np.isfinite(levels)] if pair else known
+        beside = float(np.median(same)) if len(same) else middle
+        away = min(abs(level - middle), abs(level - beside))
+        is_faster = speeds[number] > np.nanmedian(speeds[others])
+        if not len(same) and is_faster == (level > middle):
+            continue
         if away > max(LOAD * abs(middle), SPREADS * near.max(initial=0.0), 1.0):
             grid = _by_second(found, values)
             far = np.abs(grid[number] - middle_of(grid[peers])) > away / 3
             share = float(far[np.isfinite(grid[number])].mean())
-            yield {"number": number, "kind": "level", "value": float(level), "beside": middle, "share": share}
+            yield {"number": number, "kind": "level", "value": float(level), "beside": beside, "share": share}
 
 
 def _medians(values: list[Array]) -> Array:
