@@ -298,16 +298,6 @@ def section(names, order):
     return capture_file.section(*(capture_file.interface(capture_file.SOCKETCAN, name, order=order) for name in names), order=order)
 
 
-def test_a_first_packet_without_a_time_is_said(folder):
-    """Wireshark counts times from it: 4.0 from 1970, 4.4 and 4.6 say 0."""
-    path, first = folder / "custom.pcapng", tshark.ROOT / "docs/first.pcapng"
-    file = first.read_bytes()
-    head = struct.unpack_from("<I", file, 4)[0]
-    path.write_bytes(file[:head] + capture_file.block(0xBAD, b"\0\0\1\0custom") + file[head:])
-    done = tshark.run("-q", "-r", path, "-z", "yapp,check", check=False)
-    assert done.returncode in (20, 21) and "packets of this capture have no time stamps" in done.stdout + done.stderr
-
-
 # Bodies of blocks that are no packets of a bus; Wireshark gives the first of them a frame number.
 NUMBERED = [(9, b"__REALTIME_TIMESTAMP=1700000000000000\nMESSAGE=x\n"), (0xBAD, b"\0\0\1\0custom"), (0x40000BAD, b"\1\0\0\0")]
 UNNUMBERED = [(4, bytes(4)), (5, bytes(12)), (0x80000001, b"local"), (0x777, b"")]

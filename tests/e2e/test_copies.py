@@ -4,7 +4,6 @@ import functools
 import json
 import random
 import shutil
-import struct
 
 import pytest
 
@@ -102,23 +101,3 @@ def test_a_flight_that_was_recorded_twice(folder, how, share):
         assert sum(row["copies"] for row in once) == 0
         events = [[(line["bus"], line["id"], line["flag"], line["event"]) for line in lines] for lines in (found, faults)]
         assert events[0] == events[1] and (events[0] != []) == (flight is FAULTY)
-
-
-def test_a_byte_stream_over_datagrams_that_was_recorded_twice(folder):
-    """A bridge cuts its frames; each datagram comes once more, 0.2 ms later, between those of its frame.  The copies damage the
-    frames, and nothing passes for good: messages are lost, and that is said."""
-    data = (CASES / "udp_bridge_40.pcap").read_bytes()
-    records, at = [], 24
-    while at < len(data):
-        second, micro, size = struct.unpack_from("<III", data, at)
-        stamp = second * 10**6 + micro
-        records += [(stamp + copy, data[at + 8:at + 16 + size]) for copy in (0, 200)]
-        at += 16 + size
-    records.sort(key=lambda record: record[0])
-    path = folder / "twice.pcap"
-    path.write_bytes(data[:24] + b"".join(struct.pack("<II", *divmod(stamp, 10**6)) + rest for stamp, rest in records))
-    rows, *_ = summary_and_faults(path)
-    assert rows and all(row["count"] - row["crc_bad"] <= {"health": 4, "motor": 20}[row["message"]] for row in rows if row["message"]), rows
-    assert sum(row["incomplete"] + row["crc_bad"] + row["skipped"] for row in rows) > 0
-
-

@@ -364,17 +364,3 @@ def test_commands_of_the_page(folder):
             wanted = 6 if "async" in command else log.count("08404000#") if "candump" in command else 20
             assert sum(row["count"] for row in rows if row["id"] == MOTOR_DATA) == wanted, (command, rows)
             assert "yapp.sources" not in command or "left" in done.stdout, command
-
-
-def test_usb_packets_that_are_cut(folder):
-    """Wireshark's own dissectors throw past Lua at truncated packets: more often than Lua bears.  That is said."""
-    packets = []
-    for number, (seconds, data) in enumerate(flight(count=400, fault=None)):
-        packets.append((seconds, Packet(data, Origin(USBMON, 0, 0))))
-        cut = Packet(bytes(40), Origin(USBMON, 0, 0), captured=2)
-        cut.is_cut = True
-        packets.append((seconds + 0.01, cut))
-    path = written(folder, packets, lambda packet: usbmon(2 if hasattr(packet, "is_cut") else 3, 0x81, packet.data, 7))
-    tshark.assert_no_lua_errors(path, "-V", "-o", "yapp.search_all:TRUE", passes=[["-2"]])
-    count = sum(statistics(path)[0].values())
-    assert count >= 20 and (count == 400 or "were not searched" in advice(path))
