@@ -86,6 +86,7 @@ def meanings(text):
 
 def preferences(text):
     """-> a section for each preference"""
+    text = text.replace("# Equivalently, one of:", "# One of:")  # of 4.6, behind a line of short names
     found = re.findall(r"^# (.*)\n# .*\n#?(yapp\.\w+): ?(.*)$", text, re.M)
     return [f"\n### `{name}`\n\nDefault: {f'`{value}`' if value else 'empty'}.\n\n"
             f"{textwrap.fill(about, 100, break_on_hyphens=False)}\n" for about, name, value in found]

@@ -127,7 +127,7 @@ def test_several_captures(folder, project, flights):
     assert "| `fault=0` | ok | FAILED can1 0x210 |" in table
     assert gate(project, folder, "--rules", RULES, "*.pcapng").returncode == 2  # no file matches
     both = gate(project, folder, "--rules", "note.count=1", flights / "clean.pcapng", flights / "text.pcapng")
-    assert both.returncode == 2 and "NOT JUDGED" in both.stdout, both.stdout
+    assert both.returncode in (2, 3) and "NOT JUDGED" in both.stdout, both.stdout  # 3 from 4.4 on: it is no capture
 
 
 def test_waivers(folder, project, flights):
