@@ -34,6 +34,7 @@ function Dissector:reset()
   -- True if the bus of a frame has to be asked for.
   self.bus_is_per_packet = self.buses.bus_is_per_packet
   self.newest_key = 0 -- of the frames that were read: one above it is new
+  self.number = 0 -- of the latest packet that is YAPP's
   self:begin_count()
   self.frame = records.new_can_frame()
   self.asked = false -- the answer of Wants:ask that the frame has
@@ -97,6 +98,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
     self:remember(tvb, pinfo, id)
     return 0
   end
+  self.number = frame.number
   if wants.shows or not result.is_usual then
     self.view:show_frame(result, wants, tvb, pinfo, tree)
   end

@@ -183,10 +183,12 @@ end
 
 --- Add a data or remote frame.
 -- source  of its bus, as events have it; time in seconds
--- packet  its bytes, from the beginning of the packet
-function Buses:add_frame(source, time, packet)
+-- packet   its bytes, from the beginning of the packet
+-- is_yapp  true if the frame is YAPP's
+function Buses:add_frame(source, time, packet, is_yapp)
   local bus, bits = self.by_source[source], bits_of(packet)
   local recent = bus.recent
+  if is_yapp then bus.yapp = bus.yapp + 1 end
   bus.frames, bus.begin, bus.latest = bus.frames + 1, bus.begin or time, time
   recent[bus.frames] = { time = time, bits = bits }
   bus.bits, bus.recent_bits = bus.bits + bits, bus.recent_bits + bits
@@ -195,11 +197,6 @@ function Buses:add_frame(source, time, packet)
     recent[bus.oldest], bus.oldest = nil, bus.oldest + 1
   end
   bus.max_bits = math.max(bus.max_bits, bus.recent_bits)
-end
-
---- Count a frame as one of YAPP's.
-function Buses:add_yapp(source)
-  self.by_source[source].yapp = self.by_source[source].yapp + 1
 end
 
 -- Return a share of the bits in some seconds.

@@ -155,11 +155,11 @@ end
 -- filter  that these pass, or nil
 local function tap_frames(self, statistic, filter)
   local passes = filter and (" && (%s)"):format(filter) or ""
-  local stamps = self.buses.stamps
+  local stamps, frames = self.buses.stamps, self.frames
   tap_can(self, "can.id" .. passes, function(source, pinfo, tvb)
-    statistic:add_frame(source, stamps:even(pinfo.rel_ts), tvb:raw())
+    local is_yapp = frames.number == pinfo.number
+    statistic:add_frame(source, stamps:even(pinfo.rel_ts), tvb:raw(), is_yapp)
   end)
-  tap_can(self, "can.id && yapp" .. passes, function(source) statistic:add_yapp(source) end)
 end
 
 local function open(self)

@@ -358,9 +358,9 @@ def _limit(
 ) -> tuple[str, str]:
     """Return the limit above (sign 1) or below (-1) what was seen, and the extreme that it comes from.
 
-    It lies beyond the extreme by the margin, and by 1.5 times as much as flights are apart, at least `apart`: where flights
-    differ, the next one differs, too. An extreme of 0 is most likely a bound, such as that of a motor that stands:
-    beyond it is room for noise only. room: the share of all that which it has.
+    It lies beyond the extreme by the margin, and by 1.5 times as much as flights are apart, at least `apart`: where
+    flights differ, the next one differs, too. An extreme of 0 is most likely a bound, such as that of a motor that
+    stands: beyond it is room for noise only. room: the share of all that which it has.
     """
     extreme, name = max(ends, key=lambda end: sign * end[0])
     apart = max(apart, _apart([value for value, _ in ends], sign))

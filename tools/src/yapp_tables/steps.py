@@ -188,10 +188,10 @@ def read(path: Path) -> tuple[Array, Array, dict[str, Array]]:
     if not speed or len(times) < LEAST_ROWS:
         needs = f"{LEAST_ROWS} rows, a column of time (s, ms, ISO 8601), and one of speed (rpm), all numbers"
         raise SetupError(f"{path} is no log of a bench: it needs {needs}; it has {len(table)} rows of {names}")
-    good = np.isfinite(times)
+    order = np.argsort(times, kind="stable")[: np.isfinite(times).sum()]
     plain = {name: re.sub(r"[^0-9a-zA-Z]+", "_", name).strip("_").lower() for name in columns}
-    kept = {f"bench_{plain[name]}": values[good] for name, values in columns.items()}
-    return times[good] - times[good][0], columns[speed][good], kept
+    kept = {f"bench_{plain[name]}": values[order] for name, values in columns.items()}
+    return times[order] - times[order[0]], columns[speed][order], kept
 
 
 def aligned(path: Path, found: Mapping[tuple[str, str], Samples]) -> Bench:
