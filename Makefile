@@ -52,7 +52,7 @@ needs-all: needs-tests needs-bench needs-gui needs-tools-packages
 demo: needs-tshark
 	@tests/demo "$(or $(CAPTURE),$(DEMO))"
 
-## What a developer runs after every change: each behaviour once, in three minutes on two cores
+## What a developer runs after every change: each behaviour once, in three and a half minutes on two cores
 test: lint unit e2e
 
 ## What CI runs: everything on this machine's Wireshark with its memory checked (docs/reliability.md), the other ones of 4.0,
