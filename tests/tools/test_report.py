@@ -348,6 +348,15 @@ def cells(browser, table):
     }
 
 
+def test_the_least_margin_is_named_at_the_top(eight):
+    """The controller that gets hot went farthest beyond a limit."""
+    page = eight[0].read_text()
+    found = re.search(
+        r"Least margin: (-[\d.]+) \((-[\d.]+) %\) of M8, frame \d+, by the rule motor.esc_temperature=..80", page
+    )
+    assert float(found[2]) == pytest.approx(float(found[1]) / 80 * 100, rel=0.01)
+
+
 def test_the_first_lines_name_who_what_and_when(eight_browser, eight):
     ((begin, *_),) = eight[1].faults
     said = eight_browser.execute_script("return document.getElementById('verdict').innerText")

@@ -59,8 +59,20 @@ def write_page(capture: Path, out: StrPath | None, rules: StrPath | None, tshark
     flight = read_flight(capture, tshark, has_begin=True)
     count = faults_in(flight.events)
     told = cards(capture, tshark, range(1, min(count, CARDS) + 1))[0] if count else []
-    write_report(flight, page, limits, told)
+    write_report(flight, page, limits, told, _least_margin(capture, Path(rules), tshark) if rules else "")
     return page, flight
+
+
+def _least_margin(capture: Path, rules: Path, tshark: Tshark) -> str:
+    """Say which value came nearest to the limit of a rule, or went farthest beyond it; "" for none."""
+    text = rules.read_text(encoding="utf-8", errors="replace")
+    rows = [row for row in tshark.ask(capture, ["check,rules=rules,json"], text)[0] if row.get("percent") is not None]
+    if not rows:
+        return ""
+    least = min(rows, key=lambda row: row["percent"])
+    who = least["source"] or f"{least['bus'] or ''} {least['id']:#x}".strip()
+    return (f" Least margin: {least['margin']:.4g} ({least['percent']:.3g} %) of {who}, frame {least['frame']}, "
+            f"by the rule {least['rule']}.")  # fmt: skip
 
 
 def cards(capture: Path, tshark: Tshark, numbers: Iterable[int]) -> tuple[list[Record], list[str]]:
@@ -74,8 +86,8 @@ def cards(capture: Path, tshark: Tshark, numbers: Iterable[int]) -> tuple[list[R
     return [row | {"text": own} for row, own in zip(rows, texts, strict=False) if row.get("incident") is not None], said
 
 
-def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Record] = ()) -> None:
-    """Write the page of a flight to path; told: the cards of its faults. Raises OSError.
+def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Record] = (), margin: str = "") -> None:
+    """Write the page of a flight to path; told: the cards of its faults; margin: the least one. Raises OSError.
 
     Seconds count from the flight's first packet, as in Wireshark.
     """
@@ -125,6 +137,7 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
         "limits": pictures.limits_told(),
         "has_default_limits": limits.is_default,
         "rules": limits.name,
+        "margin": margin,
         "sources": pictures.sources,
         "names": [source["name"] for source in pictures.sources],
         "times": pictures.times,

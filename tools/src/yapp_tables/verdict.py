@@ -273,7 +273,8 @@ def _phases(data: Record) -> str:
     limits = ", ".join(data["limits"])
     if data["has_default_limits"]:
         return f"{flight}Limits: the default set of this page, not yours: {limits}; --rules FILE draws yours."
-    return f"{flight}Limits of {data['rules']}: {limits}." if limits else flight
+    drawn = f"Limits of {data['rules']}: {limits}." if limits else ""
+    return f"{flight}{drawn}{data['margin']}"
 
 
 def table(data: Record) -> str:
