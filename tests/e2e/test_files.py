@@ -102,7 +102,8 @@ def test_a_collector_that_is_always_at_work(name):
     memory of others, and ends."""
     shown = tshark.run("-X", f"lua_script:{pathlib.Path(__file__).with_name('collect.lua')}", "-r", tshark.CAPTURES / name, "-T", "fields", "-e", "yapp.id",
                        env={"YAPP_COLLECT": "1"})
-    assert shown.stdout.strip() and re.search(r"^pause [01]$", shown.stderr, re.M)  # Lua 5.4 rounds it to 0
+    pause = 1 if tshark.version() < (4, 4) else 0  # Lua 5.4 rounds it down
+    assert shown.stdout.strip() and f"pause {pause}\n" in shown.stderr
 
 
 # A compressed file that is damaged ---------------------------------------------------------------------------------------

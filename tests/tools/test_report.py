@@ -12,7 +12,7 @@ from pathlib import Path
 
 import flights
 import pytest
-from running import PLUGIN, run_tables
+from running import PLUGIN, TOP, run_tables
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
@@ -351,10 +351,23 @@ def cells(browser, table):
 def test_the_least_margin_is_named_at_the_top(eight):
     """The controller that gets hot went farthest beyond a limit."""
     page = eight[0].read_text()
-    found = re.search(
-        r"Least margin: (-[\d.]+) \((-[\d.]+) %\) of M8, frame \d+, by the rule motor.esc_temperature=..80", page
-    )
+    margin = r"Least margin: (-[\d.]+) \((-[\d.]+) %\) at the rule motor\.esc_temperature=\.\.80, of M8 in frame \d+\."
+    found = re.search(margin, page)
     assert float(found[2]) == pytest.approx(float(found[1]) / 80 * 100, rel=0.01)
+
+
+def test_a_recorder_that_lost_power(tmp_path):
+    """What it wrote until then has a page: its fault, and the least margin of rules, one about all controllers too."""
+    (tmp_path / "cut.pcapng").write_bytes((TOP / "docs/flight.pcapng").read_bytes()[:40_000])
+    (tmp_path / "own.rules").write_text("motor.dc_voltage.spread=20\n")
+    for more in ([], ["--rules", "own.rules"]):
+        done = run_tables(tmp_path, "report", "cut.pcapng", "--out", "page.html", *more, "--plugin", PLUGIN)
+        assert done.returncode == 1
+        assert "cut short" in done.stderr
+        page = (tmp_path / "page.html").read_text()
+        assert "cut short" in page
+        assert "Motor overcurrent" in page
+    assert re.search(r"Least margin: [\d.]+ \([\d.]+ %\) at the rule motor\.dc_voltage\.spread=20, of capture", page)
 
 
 def test_the_first_lines_name_who_what_and_when(eight_browser, eight):

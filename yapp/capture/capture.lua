@@ -90,11 +90,13 @@ end
 -- Find the bus of a packet behind those that were read when the file was opened.
 -- returns  as Capture.bus_of
 local function find_later(self, number)
-  local found, fields = self.found, fields_of(NAMES)
-  local bus = self.kept[number] or found:bus_by_fields(fields)
-  -- The bus that was the only one when the file was opened stays without a number.  CAN inside of
-  -- another protocol sees no fields of its packet.
-  local may_be_first = bus or fields["frame.number"]
+  local found, bus, may_be_first = self.found, self.kept[number], true
+  if not bus then
+    local fields = fields_of(NAMES)
+    bus = found:bus_by_fields(fields)
+    may_be_first = bus or fields["frame.number"] -- CAN inside of another protocol sees no fields
+  end
+  -- The bus that was the only one when the file was opened stays without a number.
   if not found.has_several and may_be_first and (bus or 1) == 1 then return nil, true end
   self.kept[number] = bus
   return bus, bus ~= nil

@@ -17,8 +17,7 @@ local MAX_DISTANCE = 0.02 -- seconds
 local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
 local MAX_KEPT = 16 -- messages of a source within this time
 
--- The latest messages of a source, oldest first.  A message that has copies gets copied_in = number
--- of the latest packet with one.
+-- The latest messages of a source, oldest first.
 local function new_list(source)
   local message_type = source.type
   return {
@@ -39,6 +38,7 @@ function M.new(capture)
     by_source = memo(new_list), -- [source] = its latest messages that are no copies, see new_list
     are_doubled = {}, -- [bus key, or "line"] = true once a message with a clock had a copy there
     originals = {}, -- [frame key of a copy] = that of its original, for revisits
+    copied_in = setmetatable({}, { __mode = "k" }), -- [message] = latest packet with a copy of it
   }, Copies)
 end
 
@@ -56,11 +56,11 @@ local function find_in(self, list, message)
     local kept = list[i]
     if kept.payload == payload and is_repeated(kept, message, list.distance) then
       local number = number_of(message.key)
-      if number_of(kept.key) ~= number and kept.copied_in ~= number then
+      if number_of(kept.key) ~= number and self.copied_in[kept] ~= number then
         if not self.capture:is_time_real(message.time) then return nil end
         if list.has_clock then self.are_doubled[list.bus] = true end
         if not self.are_doubled[list.bus] then return nil end
-        kept.copied_in = number
+        self.copied_in[kept] = number
         return kept.key
       end
     end

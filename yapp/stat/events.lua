@@ -178,7 +178,7 @@ local function add_command(self, state, event, enabled, turning)
   end
   if not turning then return end
   for i, source in ipairs(turning) do names[i] = output.row(source, {}).who end
-  table.sort(names)
+  output.sort(names, output.sortable)
   local values = { motors = table.concat(names, ", "), rest = "never enabled again" }
   state.disabled = new_follower("disabled", event, values)
   self.hand_on(state.disabled)

@@ -110,9 +110,6 @@ function Groups:new_values(message_type)
       local values = {
         field = field,
         read = field_kinds.reader[field],
-        -- Of a compressed float counts are added up, not values: a tenth of a summary.
-        index = not self.compares and field.number and field.index,
-        ordinary = field.ordinary,
         count = 0, -- of numbers, whose least, sum and largest follow
         min = INFINITE,
         sum = 0.0,
@@ -134,12 +131,7 @@ function Groups.add_values(list, event, longest)
   local raws = event.raws
   for i = 1, #list do
     local values = list[i]
-    local index, value = values.index, NO_NUMBER
-    if not index then
-      value = values.read(raws)
-    elseif raws[index] and raws[index] <= values.ordinary then
-      value = raws[index]
-    end
+    local value = values.read(raws)
     if value == value then -- no NaN
       values.count, values.sum = values.count + 1, values.sum + value
       if value < values.min then values.min = value end
@@ -212,12 +204,11 @@ end
 
 --- Return a row with the range of a field of a source.
 function M.row(group, values)
-  local field, count, value_of = values.field, values.count, values.index and values.field.number
+  local field, count = values.field, values.count
   local row = output.row(group.source, { field = field.name, unit = field.unit, count = count })
   if count == 0 then return row end
-  local min, mean, max = values.min, values.sum / count, values.max
-  if value_of then min, mean, max = value_of(min), value_of(mean), value_of(max) end
-  row.min, row.mean, row.max = M.round(field, min), mean, M.round(field, max)
+  row.min, row.max = M.round(field, values.min), M.round(field, values.max)
+  row.mean = values.sum / count
   return row
 end
 

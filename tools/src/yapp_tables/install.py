@@ -123,10 +123,12 @@ def install(wireshark: Wireshark, files: dict[Path, bytes]) -> None:
     """Write the files. Those that Wireshark writes itself stay as they are."""
     for path, content in files.items():
         if path.name not in WIRESHARKS or not path.exists():
-            remove(path, content)
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
-            path.chmod(0o755 if path.parent == wireshark.extcap else 0o644)
+            new = path.with_name(path.name + ".part")  # a run that is killed leaves no half of a file
+            new.write_bytes(content)
+            new.chmod(0o755 if path.parent == wireshark.extcap else 0o644)
+            remove(path, content)
+            os.replace(new, path)
     for name in ("target", "extcap", "profile"):
         say("installed", getattr(wireshark, name))
 

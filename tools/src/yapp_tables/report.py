@@ -64,15 +64,14 @@ def write_page(capture: Path, out: StrPath | None, rules: StrPath | None, tshark
 
 
 def _least_margin(capture: Path, rules: Path, tshark: Tshark) -> str:
-    """Say which value came nearest to the limit of a rule, or went farthest beyond it; "" for none."""
+    """Say which value came nearest to the limit of its rule, or went farthest beyond it; "" for none."""
     text = rules.read_text(encoding="utf-8", errors="replace")
     rows = [row for row in tshark.ask(capture, ["check,rules=rules,json"], text)[0] if row.get("percent") is not None]
     if not rows:
         return ""
     least = min(rows, key=lambda row: row["percent"])
-    who = least["source"] or f"{least['bus'] or ''} {least['id']:#x}".strip()
-    return (f" Least margin: {least['margin']:.4g} ({least['percent']:.3g} %) of {who}, frame {least['frame']}, "
-            f"by the rule {least['rule']}.")  # fmt: skip
+    margin = f"{least['margin']:.4g} ({least['percent']:.3g} %)"
+    return f" Least margin: {margin} at the rule {least['rule']}, of {source_name(least)} in frame {least['frame']}."
 
 
 def cards(capture: Path, tshark: Tshark, numbers: Iterable[int]) -> tuple[list[Record], list[str]]:

@@ -104,14 +104,13 @@ class Tshark:
     def ask(self, capture: Path, statistics: Sequence[str], rules: str = "") -> tuple[list[Record], list[str], str]:
         """Return the JSON lines of statistics, what the plugin says they leave out, and the text of others.
 
-        rules: what stands in the file `rules`. Raises as export does, and CaptureError where only a part of the capture
-        can be read.
+        rules: what stands in the file `rules`. Of a capture that can be read in part, the answer is about that part:
+        the export says so. Raises as export does.
         """
         with scratch() as folder:
             (folder / "rules").write_text(rules, encoding="utf-8")
             done = self._ask(capture, statistics, folder)
-        if why := self._refusal(capture, done, written=True):
-            raise CaptureError(f"{capture}: {why}")
+        self._refusal(capture, done, written=True)
         text = "".join(line for line in done.stdout.splitlines(keepends=True) if not line.startswith("{"))
         return list(_json_lines(done.stdout)), _said(done), text
 
