@@ -41,6 +41,7 @@ function T.test_what_is_wrong_with_a_message_is_said()
     { { every = "x" }, 'message m: every is "x", not a number' }, { { min_size = "1" }, 'message m: min_size is "1", not a number' },
     { { [1] = { "f", "uint8", "F", values = { Off = 0 } } }, "message m, field f: values are { [number] = text }" },
     { { [1] = { "f", "uint8", "F", values = { [0] = 1 } } }, "message m, field f: values are { [number] = text }" },
+    { { [1] = { "f", "uint8", "F", group = "g", flags = { { "a", 0, "A" } } } }, "message m, field f: a: bit 0x0 is" },
     { { [1] = { "f", "uint8", "F", scale = 0 } }, "message m, field f: scale is 0" },
     { { [1] = { "f", "uint8", "F", unit = 5 } }, "message m, field f: unit is 5, not a string" },
     { { [1] = { "f", "float8", "F", min = 2, max = 1 } }, "message m, field f: min and max are missing, or no range" },

@@ -111,7 +111,7 @@ local function add_flags(message_type, field, row)
     check(flag, "a flag", FLAG_OPTIONS, 3)
     local name, mask = flag[1], flag[2]
     local taken = mask - band(mask, field.undefined)
-    demand(taken == 0, "%s: bit 0x%X is another's, or not in the field", name, taken)
+    demand(mask > 0 and taken == 0, "%s: bit 0x%X is another's, or not in the field", name, taken)
     field.undefined = field.undefined - mask
     if flag.alarm and not row.alarm then field.alarm_bits = field.alarm_bits + mask end
     field.flags[i] = {
