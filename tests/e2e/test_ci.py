@@ -260,9 +260,19 @@ def test_the_job(folder, project, flights):
 
 # What docs/ci.md says ---------------------------------------------------------------------------------------------------
 
-def test_the_step_of_the_page(folder, project, flights):
+def test_the_step_and_the_commands_of_the_page(folder, project, flights):
+    """The first in a clone, the others beside it.  The package has a test of `yapp-tables baseline`."""
     page = (tshark.ROOT / "docs/ci.md").read_text()
     shutil.copy(flights / "clean.pcapng", folder / "run.pcapng")
     lines = block(re.search(r"```yaml\n(.*?)```", page, re.DOTALL)[1], "with")
     assert action(project, variables(lines), folder) == (0, "code=0\n")
     assert (folder / "report.xml").exists()
+    for name, target in (("yapp", project), ("flights", flights), ("bench.pcapng", flights / "fault.pcapng")):
+        (folder / name).symlink_to(target)
+    (project / "docs").symlink_to(tshark.ROOT / "docs")
+    (folder / "flight.rules").write_text("fault=0\n")
+    (folder / "waivers").write_text(re.search(r"(?m)^    # capture .*\n((?:    .*\n)+)", page)[1])
+    names, commands = re.search(r"(?m)^NAMES=.*", page)[0], re.findall(r"(?m)^ *(\S*ci/yapp-gate\.sh .*)", page)
+    codes = [run(["bash", "-c", f"{names}\n{command.replace('yapp-gate.sh --junit', 'yapp-gate.sh --waive waivers --junit')}"],
+                 folder if command.startswith("yapp/") else project).returncode for command in commands]
+    assert codes == [20, 0, 20, 0, 0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What README.md, docs/fault.md and CONTRIBUTING.md say: their commands in a real shell, their filters, links, names of files and functions."""
+"""What README.md, CONTRIBUTING.md and pages of docs say: their commands in a real shell, their filters, names of files and functions."""
 import os
 import re
 import shutil
@@ -31,7 +31,11 @@ QUESTIONS = [row[1].strip("`").replace("docs/", "") for row in table("Questions 
 FAULT = (tshark.ROOT / "docs/fault.md").read_text()
 # (exit code or nothing, command, what it prints)
 EXAMPLES = re.findall(r"<!-- run( \d+)? -->\n    \$ (.*)\n((?:    .*\n)+)", README + FAULT)
-SEVERAL = re.findall(r"<!-- run each -->\n\n    (tshark .*)\n", README)
+SEVERAL = re.findall(r"^    (tshark -r run.* -o .*)", README, re.M)
+# Other files have tests of a bench, of the profile, of what is installed, and of the other pages.
+OTHERS = [line for page in ("README", *(f"docs/{name}" for name in "install controllers rules reading statistics samples profile".split()))
+          for line in re.findall(r"^ {4,}((?:tshark|mergecap) .*)", (tshark.ROOT / f"{page}.md").read_text(), re.M)
+          if not re.search("-i can0|-C YAPP|-G plugins", line)]
 
 
 def shell(folder, command, *arguments):
@@ -64,6 +68,20 @@ def test_examples_print_what_they_say(folder, code, command, printed):
     wanted = [line[4:].rstrip() for line in printed.splitlines()]
     assert [line.rstrip() for line in done.stdout.splitlines()] == wanted, f"run make regenerate, and read the difference {done.stderr}"
     assert done.returncode == int(code or 0)
+
+
+def test_commands_without_a_sample(folder):
+    """None is refused, and each prints or writes something; what it is, tests of its subject have."""
+    for name in ("yapp.lua", "taurus_fields.lua", "yapp", "docs"):
+        (folder / name).symlink_to(tshark.ROOT / name)
+    for name in ("run", "first_bus", "second_bus"):
+        shutil.copy(tshark.ROOT / "docs/flight.pcapng", folder / f"{name}.pcapng")
+    shutil.copy(tshark.CAPTURES / "serial/document_uart_rtac.pcap", folder / "rtac.pcap")
+    assert len(OTHERS) == 24
+    for command in sorted(set(OTHERS), reverse=True):  # mergecap is the last, and overwrites run.pcapng
+        done = shell(folder, command.replace(" -X lua_script:yapp.lua", ""))
+        assert done.returncode in ((0, 20) if "yapp,check" in command else (0,)), (command, done.stderr)
+        assert done.stdout or " -w " in command, command
 
 
 @levels.without_tshark("of the page alone")
