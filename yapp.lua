@@ -72,7 +72,7 @@ local tcp_header = Proto("yapp_tcp", "YAPP reads TCP headers")
 local usb_header = Proto("yapp_usb", "YAPP reads USB headers")
 local preference_rows = preferences.define(yapp, catalogue.messages)
 
-local buses = captures.watch()
+local capture = captures.watch()
 local types = message_types.new(catalogue)
 local default_names = {} -- titles by ID
 for id, message in pairs(catalogue.by_id) do default_names[id] = message.title end
@@ -98,7 +98,7 @@ local ids -- of CAN, see Registration
 local stat -- the same of statistics, see make_statistics
 
 local function reset_reading()
-  reading:reset { late = settings.late, catalogue = catalogue, buses = buses }
+  reading:reset { late = settings.late, catalogue = catalogue, capture = capture }
   wants:reset()
   frames:reset()
   streams:reset()
@@ -133,7 +133,7 @@ function make_reading()
   -- Nothing calls this dissector, as YAPP shows the Taurus messages.  It must exist, because the
   -- API asks by dissector whether a protocol is wanted (see show.wants).
   function taurus.dissector() return 0 end
-  reading = reading_of.new(types, buses, function(...) ids:register_start(...) end)
+  reading = reading_of.new(types, capture, function(...) ids:register_start(...) end)
   wants = show_wants.new(catalogue.messages, taurus_fields)
   local view = show_view.new {
     yapp = yapp,
@@ -146,7 +146,7 @@ function make_reading()
     reading = reading,
     view = view,
     wants = wants,
-    buses = buses,
+    capture = capture,
     settings = settings,
     headers = headers,
   }
@@ -154,7 +154,7 @@ function make_reading()
     reading = reading,
     view = view,
     wants = wants,
-    buses = buses,
+    capture = capture,
     tcp_header = tcp_header,
     usb_header = usb_header,
     counted = counted,
@@ -222,7 +222,7 @@ local function make_statistics()
   stat = stat_taps.new {
     settings = settings,
     wants = wants,
-    buses = buses,
+    capture = capture,
     reading = reading,
     find_options = function() return streams:undecoded_options() end,
     frames = frames,
@@ -240,7 +240,7 @@ local function make_statistics()
     end,
     -- A wrapper that is there when Wireshark reloads its Lua plugins takes SocketCAN away with it.
     unwatch = function()
-      if not buses.found.is_live then headers:stop() end
+      if not capture.found.is_live then headers:stop() end
     end,
   }
 end
@@ -281,24 +281,24 @@ local function read_preferences()
   preferences.complain(problems)
   if mistakes[1] then table.insert(problems, "the catalogue did not load whole") end
   types:use(by_id, sources, {
-    several_buses = buses:are_several(),
+    several_buses = capture:are_several(),
     hides_source = prefs.hide_source,
     hides_values = prefs.hide_values,
   }, function(id) ids:register_id(id) end)
   settings.accepts_all = prefs.all_extended
   if settings.accepts_all then watch_unclaimed() end
   settings.late, settings.ids, settings.problems = late, chosen, problems
-  settings.sources, settings.sources_text = sources, prefs.sources
+  settings.sources = sources
 end
 yapp.prefs_changed = read_preferences
 
 function yapp.init()
   calls.begun, calls.ended = 1, 0
-  buses:init()
+  capture:init()
   read_preferences()
   if stat then stat:reset() end
   if streams then reset_reading() end
-  if yapp.prefs.search_all or buses.found.may_have_frames then search_streams() end
+  if yapp.prefs.search_all or capture.found.may_have_frames then search_streams() end
   calls.ended = 1
 end
 

@@ -34,7 +34,7 @@ end
 -- A capture and what comes of it: { reading, events = list of words, number = of the latest packet }.
 -- with  { several = whether it has several buses }
 local function new_capture(with)
-  local types, buses = types_of.new(TAURUS), {
+  local types, capture = types_of.new(TAURUS), {
     name = function(_, bus) return bus and "can" .. bus - 1 or nil end,
     has_times = function() return true, true end,
     stamps = stamps_of.new(),
@@ -42,8 +42,8 @@ local function new_capture(with)
   }
   types:use(catalogue_of.assign(TAURUS, {}), (sources.parse("", TAURUS)),
     { several_buses = with and with.several }, function() end)
-  local reading, events = reading_of.new(types, buses, function() end), {}
-  local options = { late = 3, catalogue = TAURUS, buses = buses }
+  local reading, events = reading_of.new(types, capture, function() end), {}
+  local options = { late = 3, catalogue = TAURUS, capture = capture }
   reading:reset(options)
   reading:listen { report = function(_, result)
     for _, text in ipairs(events_in_words { result }) do events[#events + 1] = text end

@@ -17,7 +17,7 @@ end
 function T.tearDown() events_of.append = append end
 
 local SOURCE = { key = 1, id = 1, type = { alarms = {} } }
-local SETTINGS = { late = 2.5, ids = {}, sources_text = "", catalogue = { messages = {} },
+local SETTINGS = { late = 2.5, ids = {}, catalogue = { messages = {} },
   sources = { rows = {} } }
 
 local function new_queue()

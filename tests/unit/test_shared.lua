@@ -42,10 +42,10 @@ end
 
 local function new(options)
   options = options or {}
-  local buses = {}
-  buses.stamps = stamps_of.new()
-  function buses.has_times() return not options.lacks_times, not (options.lacks_times or options.lacks_clock) end
-  return history.new { late = 2.5, catalogue = TAURUS, buses = buses }
+  local capture = {}
+  capture.stamps = stamps_of.new()
+  function capture.has_times() return not options.lacks_times, not (options.lacks_times or options.lacks_clock) end
+  return history.new { late = 2.5, catalogue = TAURUS, capture = capture }
 end
 
 -- The number of the message at which it shows that these are of several controllers, nil for never.

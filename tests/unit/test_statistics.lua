@@ -102,7 +102,7 @@ local function settings_of(with)
   local ids = with.ids or {}
   for _, message in ipairs(catalogue.messages) do ids[message.name] = ids[message.name] or { message.id } end
   return { published = { fields = {}, experts = {}, preferences = {} }, version = "9.8.7", catalogue = catalogue, late = 2.5, sources = sources, ids = ids,
-    sources_text = with.sources_text or "", problems = { with.problem } }
+    problems = { with.problem } }
 end
 
 -- Runs statistics over events; last: when the last packet came; matches: { [frame] = true } of a filter; epoch: of the
@@ -770,7 +770,7 @@ function T.test_disabled()
       end
     end
     local past = history_of.new { late = 2.5, catalogue = catalogue,
-      buses = { has_times = function() return true, true end, stamps = stamps_of.new() } }
+      capture = { has_times = function() return true, true end, stamps = stamps_of.new() } }
     for _, one in ipairs(records) do
       local values = one.values
       values.source, values.key, values.time, values.status = one.source, one.frame * 0x20000, one.time, "good"

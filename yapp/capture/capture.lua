@@ -191,7 +191,7 @@ end
 -- the file or a reader of ours tells it.
 -- pinfo    of any packet
 -- returns  seconds and nanoseconds since 1970, integers
-function Capture.begin(self, pinfo)
+function Capture:begin(pinfo)
   local begin = pinfo.abs_ts - pinfo.rel_ts -- to a quarter of a microsecond
   local first = facts_of(self).first
   -- A read filter may have dropped the first packet of the file.

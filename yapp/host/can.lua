@@ -23,7 +23,7 @@ Dissector.__index = Dissector
 
 --- Make the dissector.
 -- parts  { reading = a reading.reading, view = a show.view, wants = a show.wants,
---          buses = a capture.capture, headers = a host.header;
+--          capture = a capture.capture, headers = a host.header;
 --          settings: its accepts_all is the preference yapp.all_extended }
 function M.new(parts)
   return setmetatable(parts, Dissector)
@@ -32,7 +32,7 @@ end
 --- Forget the capture file.
 function Dissector:reset()
   -- True if the bus of a frame has to be asked for.
-  self.bus_is_per_packet = self.buses.bus_is_per_packet
+  self.bus_is_per_packet = self.capture.bus_is_per_packet
   self.newest_key = 0 -- of the frames that were read: one above it is new
   self.number = 0 -- of the latest packet that is YAPP's
   self:begin_count()
@@ -68,7 +68,7 @@ local function fill(self, frame, tvb, pinfo, id)
   frame.data = length_of(tvb) > 0 and raw_of(tvb) or ""
   frame.reported = reported_of(tvb)
   if self.bus_is_per_packet then
-    local bus, is_bus_known = self.buses.bus_of(number, pinfo)
+    local bus, is_bus_known = self.capture.bus_of(number, pinfo)
     frame.bus, frame.is_bus_known = bus or false, is_bus_known
   end
 end

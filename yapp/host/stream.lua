@@ -52,7 +52,7 @@ end
 
 --- Make the dissector.
 -- parts  { reading = a reading.reading, view = a show.view, wants = a show.wants,
---          buses = a capture.capture; Protos for the wrappers: tcp_header, usb_header;
+--          capture = a capture.capture; Protos for the wrappers: tcp_header, usb_header;
 --          counted = function(f) -> f, whose calls are counted }
 function M.new(parts)
   local self, usb_entries = setmetatable(parts, Dissector), {}
@@ -85,7 +85,7 @@ local function line_of(self, pinfo, kind)
   local names, bus, is_bus_known = self.addresses, nil, true
   local from = names:text(pinfo.src)
   if not lines.is_ip(kind, from) then
-    bus, is_bus_known = self.buses.bus_of(pinfo.number, pinfo)
+    bus, is_bus_known = self.capture.bus_of(pinfo.number, pinfo)
   end
   local line = self.reading.lines:of(kind, from, pinfo.src_port, names:text(pinfo.dst),
     pinfo.dst_port, bus)
@@ -230,7 +230,7 @@ end
 --- Return the options of tshark that decode YAPP in packets in which none was found.
 -- returns  a list, and the number of headers that these packets have, 0 if it is not known
 function Dissector:undecoded_options()
-  local found, list, count = self.buses.found, {}, 0
+  local found, list, count = self.capture.found, {}, 0
   for option, headers in pairs(self.undecoded) do
     list[#list + 1], count = option, count + headers
   end

@@ -38,12 +38,12 @@ History.__index = History
 --- Make the history of one pass over one capture.
 -- options  { catalogue = compiled,
 --            late = periods of a message that a gap must exceed to be late,
---            buses = a capture.capture, asked whether the capture has times and a clock; and its
+--            capture = a capture.capture, asked whether the capture has times and a clock; and its
 --            stamps, a capture.stamps }
 function M.new(options)
   local self = setmetatable({
     options = options,
-    stamps = options.buses.stamps,
+    stamps = options.capture.stamps,
     by_source = {}, -- [source] = see new_source
     commands = {}, -- [name of a message that others answer][bus or false] = frame keys, ascending
     motors = {}, -- the same: the states of the sources that answer and have a speed, see new_source
@@ -64,7 +64,7 @@ end
 local function new_source(self, message)
   local message_type, bus = message.source.type or NO_TYPE, message.source.bus_key or false
   local options, answered = self.options, self.commands[message_type.answers]
-  local has_times, has_clock = options.buses:has_times()
+  local has_times, has_clock = options.capture:has_times()
   local answering, motors = self.commands[message_type.name], self.motors[message_type.name]
   local source = {
     source = message.source,

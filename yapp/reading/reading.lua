@@ -31,12 +31,12 @@ Reading.__index = Reading
 
 --- Make the reading.
 -- types  a message.types
--- buses  a capture.capture
+-- capture  a capture.capture
 -- on_unknown  see can.reassembly
-function M.new(types, buses, on_unknown)
+function M.new(types, capture, on_unknown)
   return setmetatable({
     types = types,
-    buses = buses,
+    capture = capture,
     on_unknown = on_unknown,
     listener = false, -- while a statistic runs, see Reading:listen
   }, Reading)
@@ -51,16 +51,16 @@ end
 --- Forget the capture file.
 -- options  of message.history
 function Reading:reset(options)
-  self.history, self.copies = history.new(options), copies.new(self.buses)
+  self.history, self.copies = history.new(options), copies.new(self.capture)
   -- CAN:
-  self.reassembly = reassembly.new(self.buses, self.on_unknown)
+  self.reassembly = reassembly.new(self.capture, self.on_unknown)
   self.sources = memo(function(bus) -- [bus or false][ID] = a source
-    return memo(function(id) return self.types:new_source(id, bus, self.buses:name(bus)) end)
+    return memo(function(id) return self.types:new_source(id, bus, self.capture:name(bus)) end)
   end)
   self.result = records.new_result("other", false) -- of the current frame, used again as that is
   -- Streams:
   self.streams = streams.new(function() return self:new_framer() end)
-  self.lines = lines.new(self.types, self.buses)
+  self.lines = lines.new(self.types, self.capture)
   self.ending = false -- see Reading:finish
 end
 
@@ -319,7 +319,7 @@ function Reading:finish(may_go_on)
   return list
 end
 
---- Return the gaps in TCP connections, in the form of Buses:drops.
+--- Return the gaps in TCP connections, in the form of Capture:drops.
 function Reading:drops()
   return self.streams:drops()
 end

@@ -15,13 +15,13 @@ local Lines = {}
 Lines.__index = Lines
 
 --- Make the lines of a capture.
--- types  a message.types, buses = a capture.capture
-function M.new(types, buses)
+-- types  a message.types, capture = a capture.capture
+function M.new(types, capture)
   local commands = {}
   for _, message_type in ipairs(types.messages) do commands[message_type.answers or 0] = true end
   return setmetatable({
     types = types,
-    buses = buses,
+    capture = capture,
     by_key = {}, -- the lines, by key_of; of USB by name
     by_bus = memo(function() return {} end), -- [bus of UDP and TCP][ID] = a source
     commands = commands, -- [name of a message type] = true if controllers receive it
@@ -75,7 +75,7 @@ function Lines:of(kind, from, port, to, to_port, bus)
   local line = self.by_key[key]
   if line then return line end
   local is_ip = M.is_ip(kind, from)
-  line = new_line(is_ip and bus_of(self, from, port) or self.buses:name(bus, false))
+  line = new_line(is_ip and bus_of(self, from, port) or self.capture:name(bus, false))
   self.by_key[key] = line
   if is_ip then
     line.receiver, line.has_address = bus_of(self, to, to_port), true

@@ -331,7 +331,7 @@ local function add_changes(self, change, top, item, faults)
 end
 
 --- Show a message: the tree of its values, and its expert items.
--- view     see show.parts
+-- view     a show.view
 -- returns  the texts at the beginning and at the end of the Info column
 function Taurus:show(message, view)
   local top, items, faults = nil, NONE, nil

@@ -161,7 +161,7 @@ M.NOTHING = {}
 --- Make an event, which statistics list and count.
 -- kind    "message" for a good message, else the name of a row
 -- frame   number of the packet; time = seconds since the first one
--- source  of message.reader, one table for all its events; for events of a bus, or of the capture,
+-- source  of message.types, one table for all its events; for events of a bus, or of the capture,
 --         with its bus and name alone, or with nothing
 -- values  by the keys of its kind, and by those in its text; of a good message the message
 -- message  of a message: { seq, raws = its raw values, nil or false where the catalogue does not

@@ -156,31 +156,31 @@ local function explain_nothing_found(self, extended)
 end
 
 -- Return why times of packets mean nothing; nil if they mean something.
-local function explain_times(self, capture)
-  if capture.lacks_times then return NO_TIMES end
+local function explain_times(self, ending)
+  if ending.lacks_times then return NO_TIMES end
   if self.packets > 1 and not self.has_progress then return EQUAL_TIMES end
   return self.stamps:are_coarse() and COARSE_TIMES or nil
 end
 
 -- Add to a record how things stand, for statistics; return it.
--- capture  see Run:finish
-local function describe(self, capture)
+-- ending  see Run:finish
+local function describe(self, ending)
   local stamps, step, last = self.stamps, self.step, self.last or 0
-  local lacks_times = explain_times(self, capture)
-  capture.run, capture.events = self, self.events
-  capture.last = self.last -- seconds from the first packet to the last one, nil for none
-  capture.lacks_times = lacks_times -- why times mean nothing, or nil
-  capture.are_coarse = lacks_times == COARSE_TIMES -- then messages recorded twice are still found
+  local lacks_times = explain_times(self, ending)
+  ending.run, ending.events = self, self.events
+  ending.last = self.last -- seconds from the first packet to the last one, nil for none
+  ending.lacks_times = lacks_times -- why times mean nothing, or nil
+  ending.are_coarse = lacks_times == COARSE_TIMES -- then messages recorded twice are still found
   -- Why no message was found, nil if one was:
-  capture.reason = explain_nothing_found(self, capture.extended)
+  ending.reason = explain_nothing_found(self, ending.extended)
   -- Return how many seconds from a message to the end.  Behind a step back of the clock, a lower
   -- bound: from there on.  Behind several, the stamps of recorders may alternate: nothing tells.
-  function capture.length_since(event)
+  function ending.length_since(event)
     if lacks_times or self.steps > 1 then return 0 end
     local from = event.frame < step.number and step.time or event.time
     return kinds.span(stamps:even(from), stamps:even(last))
   end
-  return capture
+  return ending
 end
 
 --- Show a live statistic once a second, and when it wants to end the run.
@@ -194,21 +194,21 @@ end
 
 -- Hand on the results that waited until all packets had come: at last the messages that the end of
 -- the capture cuts off, in the order of their frames.
-local function deliver_rest(self, capture)
+local function deliver_rest(self, ending)
   deliver_waiting(self, true)
   local waiting = self.waiting
-  for _, result in ipairs(capture.results) do
+  for _, result in ipairs(ending.results) do
     local is_cut = result.kind == "unfinished"
-    if not (is_cut and capture.unread) then events.append(waiting, result) end
+    if not (is_cut and ending.unread) then events.append(waiting, result) end
   end
   output.sort(waiting, function(event) return event.kind == "unfinished" and event.frame or 0 end)
   deliver_waiting(self, true)
 end
 
 -- Count what the capture lost, and when its clock was set.
-local function count_losses(self, capture)
+local function count_losses(self, ending)
   local begin = self.dates.seconds + self.dates.nanoseconds / 1e9
-  for _, drop in ipairs(capture.drops) do
+  for _, drop in ipairs(ending.drops) do
     local time = drop.time and math.floor((drop.time - begin) * 1e6 + 0.5) / 1e6
     count_event(self, "dropped", drop.frame, time, drop.bus, { count = drop.count })
   end
@@ -218,7 +218,7 @@ local function count_losses(self, capture)
 end
 
 --- End: all packets have come.
--- capture  {
+-- ending  {
 --   results      of Reading:finish
 --   drops        of capture.capture
 --   lacks_times  true if packets have no time stamps
@@ -226,11 +226,11 @@ end
 --   problems     list of texts: wishes of the user that were not met, and why not all was read
 --   unread       in short why packets were left out, nil if none were }
 -- returns  the exit code, and a list of texts to say
-function Run:finish(capture)
-  deliver_rest(self, capture)
-  local ending = describe(self, capture)
+function Run:finish(ending)
+  deliver_rest(self, ending)
+  describe(self, ending)
   self.events:finish(ending.length_since, not ending.lacks_times)
-  count_losses(self, capture)
+  count_losses(self, ending)
   local code, texts = output.EXIT_OK, {}
   for _, one in ipairs(self.answers) do
     local worse, text, notes = one:finish(ending)

@@ -2,7 +2,7 @@
 -- Statistics in tshark (-z yapp,...): taps, output, exit codes.  Wireshark's windows are
 -- stat.windows's.  Wireshark's API.
 
-local buses_of = require "yapp.stat.buses"
+local buses = require "yapp.stat.buses"
 local command = require "yapp.capture.command_line"
 local joined = require "yapp.base.joined"
 local memo = require "yapp.base.memo"
@@ -48,10 +48,10 @@ Stat.__index = Stat
 --     version       of the plugin; catalogue = compiled
 --     published     lists of rows for stat.inventory, { fields, experts, preferences }
 --     late          a gap of more periods is a silence
---     sources       a message.sources; sources_text = the preference that it was read from
+--     sources       a message.sources
 --     ids           [message name] = list of the IDs that its preference has
 --     problems      list of texts: wishes of the user that were not met }
---   wants = a show.wants, buses = a capture.capture
+--   wants = a show.wants, capture = a capture.capture
 --   reading    a reading.reading, frames = a host.can, headers = its host.header
 --   find_options  function() -> list of tshark's options that decode other packets, and the number
 --              of headers that these have, 0 if it is not known
@@ -89,15 +89,15 @@ end
 -- Tap all packets: ask nothing of a packet that need not be.  tshark numbers them as they come.
 local function tap_packets(self)
   local tap, is_waiting, run = add_tap(self), IS_TSHARK, self.current
-  local calls, buses, frames, asker = self.calls, self.buses, self.frames, self.wants
-  local function has_clock() return select(2, buses:has_times()) end
+  local calls, capture, frames, asker = self.calls, self.capture, self.frames, self.wants
+  local function has_clock() return select(2, capture:has_times()) end
 
   function tap.packet(pinfo)
     local number = run.packets + 1
     -- Packets that come while Wireshark revisits those of a live capture are revisited, too.
     if not IS_TSHARK and pinfo.number ~= number then return end
     calls.begun = calls.begun + 1
-    if number == 1 then run.dates:set_first(buses:begin(pinfo)) end
+    if number == 1 then run.dates:set_first(capture:begin(pinfo)) end
     if frames.refused then frames:count_refused(number) end
     if is_waiting and asker.first_pass then -- known once a packet has YAPP
       is_waiting = false
@@ -124,18 +124,18 @@ end
 -- on_frame  function(source of the bus, pinfo, tvb)
 local function tap_can(self, filter, on_frame)
   add_tap(self, filter, function(pinfo, tvb)
-    on_frame(self.bus_sources[self.buses.bus_of(pinfo.number, pinfo) or false], pinfo, tvb)
+    on_frame(self.bus_sources[self.capture.bus_of(pinfo.number, pinfo) or false], pinfo, tvb)
   end)
 end
 
 -- Wireshark hands error frames to no dissector.
 local function tap_bus_errors(self)
-  self.bus_sources = memo(function(bus) return { bus = self.buses:name(bus or nil) } end)
+  self.bus_sources = memo(function(bus) return { bus = self.capture:name(bus or nil) } end)
   tap_can(self, ERROR_FRAMES, function(source, pinfo, tvb)
     self.current:report {
       kind = "bus_errors",
       frame = { number = pinfo.number, time = pinfo.rel_ts, source = source },
-      reports = buses_of.read_error(tvb:raw()),
+      reports = buses.read_error(tvb:raw()),
     }
   end)
 end
@@ -155,7 +155,7 @@ end
 -- filter  that these pass, or nil
 local function tap_frames(self, statistic, filter)
   local passes = filter and (" && (%s)"):format(filter) or ""
-  local stamps, frames = self.buses.stamps, self.frames
+  local stamps, frames = self.capture.stamps, self.frames
   tap_can(self, "can.id" .. passes, function(source, pinfo, tvb)
     local is_yapp = frames.number == pinfo.number
     statistic:add_frame(source, stamps:even(pinfo.rel_ts), tvb:raw(), is_yapp)
@@ -166,7 +166,7 @@ local function open(self)
   local options = command.options()
   local hint = (options.Y or options["display-filter"]) and HINT or nil
   self.options, self.taps = options, {}
-  self.current = run_of.new(self.settings, self.buses.stamps, hint)
+  self.current = run_of.new(self.settings, self.capture.stamps, hint)
   self.reading:listen(self.current)
   self.frames:begin_count()
   self.watch()
@@ -183,7 +183,7 @@ end
 
 -- Return whether -c may have stopped the reading of a file.
 local function is_stopped(self, packets)
-  local options, in_file = self.options, self.buses.found.count
+  local options, in_file = self.options, self.capture.found.count
   local limit = options.r and tonumber(options.c)
   if not limit or in_file > 0 then return limit and in_file > limit end
   return packets >= limit or options.R ~= nil -- a read filter leaves out some
@@ -197,7 +197,7 @@ local function explain_unread(self)
   if options.b or options["ring-buffer"] then return GOES_ON:format(count) end
   if unread > 0 then return RESET:format(packets, packets + unread) end
   if is_stopped(self, packets) then return STOPPED:format(count) end
-  return self.buses:is_cut() and CUT or nil
+  return self.capture:is_cut() and CUT or nil
 end
 
 -- Return that YAPP in this file was not decoded; nil if no trace of it was found.
@@ -211,14 +211,14 @@ end
 -- End all statistics; return the exit code, and a list of texts to say.
 local function finish(self)
   local failures, unread = self.calls.begun - self.calls.ended, explain_unread(self)
-  local reading, buses, drop = self.reading, self.buses, self.refused
+  local reading, capture, drop = self.reading, self.capture, self.refused
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
   local refused = drop.count > 0 and REFUSED:format(output.count(drop.count, "packet")) or nil
-  local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
+  local reloaded = self.total > 0 and capture:missed_file() and RELOADED or nil
   return self.current:finish {
     results = reading:finish(MAY_GO_ON),
-    drops = joined(buses:drops(), reading:drops(), { refused and drop }),
-    lacks_times = not buses:has_times(),
+    drops = joined(capture:drops(), reading:drops(), { refused and drop }),
+    lacks_times = not capture:has_times(),
     extended = self.frames.refused_count,
     problems = joined(self.settings.problems, { failed }, { unread }, { reloaded }, { refused },
       { explain_undecoded(self) }),
@@ -253,7 +253,7 @@ local function add_terminal(self, options, context)
   -- SIGINT ends a capture, and its file is whole.  While a file is read, SIGINT ends tshark without
   -- an answer.  os.execute ignores SIGINT, io.popen does not.
   function context.stop()
-    if HAS_SHELL and self.buses.found.is_live then
+    if HAS_SHELL and self.capture.found.is_live then
       io.popen("kill -INT $PPID"):close()
     else
       self:conclude()
