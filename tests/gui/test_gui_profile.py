@@ -56,7 +56,7 @@ def test_columns_buttons_colours(capture):
 
 
 # The submenu YAPP of a packet's menu, which has what the packet has.
-ITEMS = ["Only this controller", "Faults", "Previous fault", "Next fault", "Whole message", "Name", "Copy"]
+ITEMS = ["Only this controller", "Faults", "Previous fault", "Next fault", "Whole message", "Fault"]
 from_4_4 = pytest.mark.skipif(VERSION < (4, 4), reason="from 4.4 on")
 
 
@@ -66,13 +66,6 @@ def choose(wireshark, frame, number, until):
     wireshark.keys("Escape")
     wireshark.tree(f"Frame {frame}:")
     return wireshark.press(*["Down"] * 6, "Right", *["Down"] * number, "Return", until=until, menu_of=(200, 100))
-
-
-def name(wireshark, frame, text, title="flight.pcapng", items=tuple(ITEMS)):
-    """Gives the controller of a frame a name by the menu, which opens a dialog."""
-    choose(wireshark, frame, items.index("Name"), lambda: any("YAPP Name" in title for title in wireshark.windows().values()))
-    wireshark.answer("YAPP Name", text, before="End")
-    wireshark.wait_for_window(title)
 
 
 @from_4_4
@@ -92,6 +85,11 @@ def test_menu_of_a_packet(capture):
             choose(wireshark, 908, number, is_shown)
             if ITEMS[number] == "Previous fault":
                 wireshark.tree("Frame 719:")  # is selected
+        choose(wireshark, 717, ITEMS.index("Fault"), lambda: "YAPP Fault" in wireshark.windows().values())  # a fragment of 719
+        wireshark.wait_for_window("YAPP Fault")
+        area = wireshark.words()
+        assert "719" in area and "motor_overcurrent" in area, area
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
 
 
 @from_4_4
@@ -103,34 +101,3 @@ def test_an_unknown_id_is_decoded_by_its_menu(capture):
         choose(wireshark, 719, 2, lambda: "yapp.motor_ids: 768,528\n" in preferences.read_text())
         wireshark.tree("Frame 719:", "Taurus Motor Data")
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
-
-
-@from_4_4
-def test_a_controller_is_named_by_its_menu(capture):
-    with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
-        preferences = wireshark.home / ".config/wireshark/profiles/YAPP/preferences"
-        wireshark.wait_for_window("flight.pcapng")
-        name(wireshark, 719, "right")
-        gui.wait_for(lambda: "yapp.sources: can1/0x210=right\n" in preferences.read_text())
-        name(wireshark, 5, "left")
-        gui.wait_for(lambda: "yapp.sources: can1/0x210=right, can0/0x210=left\n" in preferences.read_text())
-        wait_for_words(wireshark, ["left"], f"{gui.WIDTH}x80+0+60")
-        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
-
-
-@from_4_4
-def test_a_message_is_copied_as_candump(capture):
-    """What is copied is read as the same message."""
-    with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
-        wireshark.wait_for_window("flight.pcapng")
-        wireshark.clipboard("-i")
-        lines = choose(wireshark, 717, ITEMS.index("Copy"), lambda: wireshark.clipboard().startswith("(") and wireshark.clipboard())
-        assert lines.startswith("(1700000005.613000) can1 08404000#AC222F4520000000\n") and lines.count("\n") == 5
-        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
-    copied = capture.with_name("copied.log")
-    copied.write_text(lines)
-    fields = ["yapp.reassembled.data", "yapp.crc.status"]
-    original = gui.tshark.fields(capture, fields, "-Y", "frame.number == 719")
-    assert gui.tshark.fields(copied, fields, "-Y", "taurus.motor") == original != []
-
-

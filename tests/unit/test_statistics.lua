@@ -832,16 +832,18 @@ function T.test_events_of_a_window_are_merged()
   local stretch = function(frame, rel, length)
     return record(frame, rel, { kind = "skipped", source = stream, values = { length = length }, fits = false })
   end
+  local both = { flags = { { field = FAULT, value = 3, raised = 3, cleared = 0 } } }
   local records = { record(1, 0), stretch(2, 0.01, 5), bad(3, 0.1), bad(4, 0.2), bad(5, 0.3, { source = RIGHT }), record(6, 0.305, { source = on_line }),
-    stretch(7, 0.31, 7), record(8, 0.34) }
+    stretch(7, 0.31, 7), record(8, 0.34, { change = both, payload = payload(10, 3) }) }
   local printed = run({ "events" }, records, { frames = {} })
   local list = {}
   for _, line in ipairs(lines(printed)) do
     if line:find("^ *%d") then list[#list + 1] = line:gsub(" +", " ") end
   end
   lu.assertEquals(list, { "0.010 2 uart 12 bytes of no frame, 2 times up to 0.310 s",
-    "0.100 3 can0 0x210 left bad CRC, 2 times up to 0.200 s", '0.300 5 can1" 0x210 bad CRC' })
-  lu.assertEquals(#lines((run({ "events,json" }, records))), 5)
+    "0.100 3 can0 0x210 left bad CRC, 2 times up to 0.200 s", '0.300 5 can1" 0x210 bad CRC',
+    "0.340 8 can0 0x210 left hot, stall raised", "0.340 8 can0 0x210 left hot, stall active after 0.000 s" })
+  lu.assertEquals(#lines((run({ "events,json" }, records))), 9)
 end
 
 -- For people a controller's messages are together, and the odd ones of several first.
@@ -857,6 +859,8 @@ function T.test_controllers_and_the_odd_one()
   end
   lu.assertEquals(ids((run({ "summary" }, records))), "0x200 0x210 0x201 0x211 0x212")
   lu.assertEquals({ (run({ "compare" }, records)):match("can0 (0x%x+).-can0 (0x%x+)") }, { "0x211", "0x210" })
+  records[6] = record(6, 0.5, { source = of(0x20f, nil, MOTOR), payload = payload(255) }) -- never a number: the last one
+  lu.assertStrMatches(run({ "compare" }, records, { frames = {} }), ".*\n *can0 0x212 +10%.00  10%.00  10%.00\n +can0 0x20f\n")
 end
 
 -- No false all-clear -----------------------------------------------------------------------------------------------

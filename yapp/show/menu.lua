@@ -2,7 +2,6 @@
 -- The submenu YAPP in the menu of a packet, from Wireshark 4.4 on.  Wireshark's API.
 
 local preferences = require "yapp.host.preferences"
-local source_names = require "yapp.message.sources"
 
 local M = {}
 
@@ -37,25 +36,6 @@ local function add_item(title, name, act)
   end, name)
 end
 
--- Return the bus of a packet; nil without one.
-local function bus_of(values)
-  local bus = (values["yapp.bus"] or ""):match('^"(.-[^\\])"')
-  return bus and bus:gsub("\\(.)", "%1")
-end
-
--- Ask for a name, in the text of the whole preference, which can be changed.
-local function ask_name(values, sources, catalogue)
-  local bus, id = bus_of(values), tonumber(values["yapp.id"]:match("%d+"))
-  local _, _, part = source_names.parse(sources, catalogue):find(bus, id)
-  if not part or bus and not part.bus then
-    if sources ~= "" then sources = sources .. ", " end
-    sources = ("%s%s0x%x="):format(sources, bus and bus .. "/" or "", id)
-  end
-  new_dialog("YAPP Name this controller", function(answer)
-    if not answer:find("=%s*$") then preferences.set { sources = answer } end
-  end, { name = "Names of sources", value = sources })
-end
-
 -- Add an item that filters, for packets with a field.
 -- row  of FILTERS
 local function add_filter(row, field)
@@ -84,9 +64,6 @@ function M.register(prefs, catalogue, show_statistic)
       preferences.set { [ids] = prefs[ids] .. "," .. values[like] }
     end)
   end
-  add_item("Name this controller ...", "yapp.id", function(values)
-    ask_name(values, prefs.sources, catalogue)
-  end)
   add_item("Fault", "yapp.message.fault", function(values)
     local frame = values["yapp.reassembled.in"] or values["frame.number"]
     show_statistic("yapp,fault,frame=" .. frame)

@@ -207,8 +207,11 @@ function M.row(group, values)
   local field, count = values.field, values.count
   local row = output.row(group.source, { field = field.name, unit = field.unit, count = count })
   if count == 0 then return row end
-  row.min, row.max = M.round(field, values.min), M.round(field, values.max)
-  row.mean = values.sum / count
+  local least, most = M.round(field, values.min), M.round(field, values.max)
+  for name, value in pairs { min = least, mean = values.sum / count, max = most } do
+    local short = field.rounded and field.rounded:format(value)
+    row[name] = { value = value, text = value, short = short }
+  end
   return row
 end
 

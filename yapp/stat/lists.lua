@@ -111,21 +111,32 @@ function M.count_text(count, ending)
   return why and ("UNKNOWN, %s, %d in what was decoded"):format(why, count) or count
 end
 
+-- Add an event to the first one of its line.
+local function add_to(first, event)
+  local values = first.values
+  if event.kind == "fault" then
+    values.flag = values.flag .. ", " .. event.values.flag
+    return
+  end
+  first.times = (first.times or 1) + 1
+  first.more = MORE:format(first.times, event.time or 0)
+  for key, value in pairs(event.values) do
+    if type(value) == "number" then values[key] = values[key] + value end
+  end
+end
+
 -- Return a list with one event for all of a source that are of a kind which may come often, and
--- their sum.
+-- their sum; and one for all flags that a message raises, or clears.
 local function merge(list)
   local merged, by_source = {}, memo(function() return {} end)
   for _, event in ipairs(list) do
     local kind, firsts = event.kind, by_source[event.source]
-    local first = MERGED[kind] and firsts[kind]
-    if not first then
-      firsts[kind], merged[#merged + 1] = event, event
+    local key = kind == "fault" and event.values.event .. event.frame or MERGED[kind] and kind
+    if key and firsts[key] then
+      add_to(firsts[key], event)
     else
-      first.times = (first.times or 1) + 1
-      first.more = MORE:format(first.times, event.time or 0)
-      for key, value in pairs(event.values) do
-        if type(value) == "number" then first.values[key] = first.values[key] + value end
-      end
+      merged[#merged + 1] = event
+      if key then firsts[key] = event end
     end
   end
   return merged

@@ -173,17 +173,23 @@ M.compare = Compare.new
 -- beside the second one's, and 1 % of its values.
 local function rows_of(self, list, index)
   local spread, rows, means = list[1].values[index].spread, {}, {}
+  local function mean_of(row) return row.mean and row.mean.value end
   for i, group in ipairs(list) do
     rows[i] = groups.row(group, group.values[index])
-    insert(means, rows[i].mean)
+    insert(means, mean_of(rows[i]))
   end
   local sources = output.objects(OF_SOURCE, rows)
   if means[3] then
     local middle = groups.median(means)
-    local function distance(row) return math.abs((row.mean or middle) - middle) end
+    local function distance(row)
+      local mean = mean_of(row)
+      return mean and math.abs(mean - middle) or -1 -- a source without a value is last
+    end
     output.sort(rows, function(row) return -distance(row) end)
-    local floor = distance(rows[2]) + (math.abs(middle) + rows[1].max - rows[1].min) / 100
-    rows.odd = floor > 0 and distance(rows[1]) / floor
+    local oddest = rows[1]
+    local range = math.abs(middle) + oddest.max.value - oddest.min.value
+    local floor = distance(rows[2]) + range / 100
+    rows.odd = floor > 0 and distance(oddest) / floor
   end
   for i = 2, #rows do rows[i].field, rows[i].unit = nil, nil end
   local row, rel = rows[1], spread.rel
