@@ -6,6 +6,7 @@ import re
 import subprocess
 import zipfile
 
+import aircraft
 import pairs
 import planted
 import pytest
@@ -24,12 +25,32 @@ def test_nobody_else_is_accused(tmp_path, seed, kinds):
     for kind, (name, *_) in truth.items():
         assert re.search(planted.WORDS[kind], lines["Battery" if name == "battery" else name]), (kind, lines)
     page = (tmp_path / "page.html").read_text()
+    if "overcurrent" in truth:  # the card says the same of the current before the fault
+        before = re.search(r"from (\d\.\d{3}) s before", lines[truth["overcurrent"][0]])[1]
+        assert re.search(rf"(?m)^-{before} .* dc_current ", page), before
     verdict = re.sub("<.*?>", "", re.search(r'<p id="verdict">(.*?)</p>', page)[1])
     if not truth:
         assert verdict.startswith("GOOD: no fault, reboot, silence or odd controller"), verdict
     else:
         assert verdict.startswith("NOT GOOD: "), verdict
     assert verdict.endswith("; all decoded."), verdict
+
+
+def test_what_begins_in_flight_is_found_with_its_time(tmp_path):
+    """A propeller breaks in the middle of a flight: 40 % less load from then on."""
+    capture = aircraft.write(tmp_path / "run.pcapng", "four large", 9412, "propeller")
+    options = aircraft.options("four large")
+    done = run_tables(tmp_path, "report", "run.pcapng", "--out", "page.html", "--plugin", PLUGIN, *options)
+    assert done.returncode == 0, done.stderr
+    lines = planted.causes((tmp_path / "page.html").read_text())
+    times = yt.read(capture, options=options[1::2], plugin=PLUGIN)["motor"]["time"].to_pylist()
+    length = (max(times) - min(times)).total_seconds()
+    assert list(lines) == ["m1"], lines
+    found = re.fullmatch(r"(\d+)% less current from 0:(\d\d) to 0:(\d\d) \(.* A\)\.", lines["m1"])
+    share, begin, end = map(int, found.groups())
+    assert abs(share - 40) < 5
+    assert abs(begin - length / 2) < 2
+    assert abs(end - length) < 3
 
 
 def test_a_fault_for_the_vendor(tmp_path):
@@ -81,7 +102,7 @@ def test_a_bus_that_was_silent_is_one_sentence(tmp_path):
     assert re.fullmatch(r"silence of all 4 controllers 2\.\d{3} s at 0:29\.\d{3}\.", lines["can1"]), lines
     phases = re.search(r'<p id="phases".*?>(.*?)</p>', (tmp_path / "page.html").read_text())[1]
     names = ", ".join(f"{name} (can{name[0] == 'R':d})" for name in planted.NAMES)
-    assert phases.startswith(f"Nothing found of {names}. In flight (by speed) "), phases
+    assert phases.startswith(f"Nothing found of {names}, the buses. In flight (by speed) "), phases
 
 
 def test_a_silence_of_damaged_messages_says_so():
@@ -95,5 +116,15 @@ def test_a_silence_of_damaged_messages_says_so():
     assert [one["text"] for one in said["left (can0)"]] == [
         "silent 0.500 s, from 0:09.900, in which 3 damaged messages came"
     ]
+    rows[0]["rows"].append({"kind": "silence", "source": "left", "is_command": True})
     said = verdict.causes({"incidents": rows[:1], "differs": [], "length": 60.0})
-    assert said["left (can0)"][0]["text"] == "silent 0.500 s, from 0:09.900"
+    assert said["left (can0)"][0]["text"] == "silent 0.500 s, from 0:09.900; Commands lost, too"
+
+
+def test_a_message_that_came_damaged_is_counted_once():
+    """Of one source 3 of 5 missing ones came with a bad CRC; of the other 2 are incomplete."""
+    counts = [("left", "crc", 3), ("left", "missing", 5), ("right", "incomplete", 2)]
+    rows = [{"label": label, "kind": kind, "count": count} for label, kind, count in counts]
+    incidents = [{"is_fault": False, "is_serious": False, "kinds": [], "rows": rows}]
+    said = verdict.headline({"incidents": incidents, "differs": [], "left_out": []})
+    assert said == ("GOOD", "no fault, reboot, silence or odd controller, 7 messages damaged or lost")

@@ -88,12 +88,33 @@ def _temperature(found: Found, values: list[Array]) -> Iterator[Record]:
 
 
 def _level(found: Found, values: list[Array]) -> Iterator[Record]:
-    """Compare the median of the flight with that of those that turned as fast; it needs three that agree.
+    """Find whose level is odd in the whole flight, else in its later half, else in its last quarter, and since when."""
+    times = [one.times[np.isfinite(each)] for one, each in zip(found, values, strict=True)]
+    whole = np.concatenate([[0.0], *times])
+    begin, end = whole[1:].min(initial=np.inf), whole.max()
+    grid, told = _by_second(found, values), set()
+    for part in (1.0, 0.5, 0.25):
+        since = end - part * (end - begin)
+        later = [np.where(one.times >= since, each, np.nan) for one, each in zip(found, values, strict=True)]
+        for row, peers in _levels(later, found):
+            number, own = row["number"], grid[row["number"]]
+            far = np.abs(own - middle_of(grid[peers])) > abs(row["value"] - row["beside"]) / 3
+            if number not in told and far.any():
+                told.add(number)
+                at, until = _runs(far, 1)[0]
+                is_once = until - at > 0.8 * far.sum()
+                span = {"at": float(at), "end": float(until)} if is_once else {}
+                yield row | {"share": float(far[np.isfinite(own)].mean())} | span
+
+
+def _levels(values: list[Array], found: Found) -> Iterator[tuple[Record, Array]]:
+    """Compare medians with those of controllers that turned as fast; it needs three that agree: what is odd, its peers.
 
     If fewer turned as fast, it is odd beside them and beside all; if nobody did, only against what its speed explains.
     """
     levels, pair = _medians(values), found[0].speed()
-    speeds = _medians([np.where(one.calm, np.abs(one.columns[pair[0]]), np.nan) for one in found]) if pair else levels
+    turning = [np.abs(one.columns[pair[0]]) if pair else each for one, each in zip(found, values, strict=True)]
+    speeds = _medians([np.where(np.isfinite(each), own, np.nan) for own, each in zip(turning, values, strict=True)])
     for number, level in enumerate(levels if len(found) > 3 else ()):
         others = np.arange(len(levels)) != number
         alike = others & (np.abs(speeds - speeds[number]) <= ALIKE * speeds[number])
@@ -108,10 +129,7 @@ def _level(found: Found, values: list[Array]) -> Iterator[Record]:
         if not len(same) and is_faster == (level > middle):
             continue
         if away > max(LOAD * abs(middle), SPREADS * near.max(initial=0.0), 1.0):
-            grid = _by_second(found, values)
-            far = np.abs(grid[number] - middle_of(grid[peers])) > away / 3
-            share = float(far[np.isfinite(grid[number])].mean())
-            yield {"number": number, "kind": "level", "value": float(level), "beside": beside, "share": share}
+            yield {"number": number, "kind": "level", "value": float(level), "beside": beside}, peers
 
 
 def _medians(values: list[Array]) -> Array:
@@ -131,7 +149,9 @@ def _surges(found: Found, values: list[Array]) -> Iterator[Record]:
         far = is_odd & (own > SURGE * np.abs(middle)) & (away > max(least, 2 * usual))
         for begin, end in _runs(far, STEPS)[:1]:
             times = float(np.median(own[begin:end] / np.maximum(middle[begin:end], 1e-9)))
-            span = {"at": begin * every, "end": end * every}
+            came = found[number].times  # of the messages, not of the steps
+            at, last = came[np.searchsorted(came, begin * every)], came[np.searchsorted(came, end * every) - 1]
+            span = {"at": float(at), "end": float(last + every)}
             yield span | {"number": number, "kind": "surge", "times": times, "value": float(np.nanmax(own[begin:end]))}
 
 

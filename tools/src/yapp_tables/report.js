@@ -6,7 +6,6 @@
   const HEIGHT = 210, CLOUD = 340, ROW = 18, AXIS = 24, BAR = 26; // pixels: BAR is the room of the toolbar and the heading
   const LETTER = 6.5, LEAST = 3; // pixels: of a letter in a bar, of the shortest bar
   const POINTS = 6000, FEWER = 4, PAUSE = 150; // and a part of them, until no zoom follows for so many milliseconds
-  const ROWS = 40; // of a table
   const AMBER = 0.1; // of the way between limits
   const PALE = 0.35, DASHES = ["dash", "dot", "dashdot", "longdash"]; // of who is not odd; of Commands
   const PRINTED = 510, PRINTED_HEIGHT = 118, PRINTED_CLOUD = 230, PRINTED_WIDE = 1030; // pixels: two pictures beside each other, or a wide one
@@ -49,8 +48,7 @@
 
   // ---- numbers as text
 
-  const plain = (value, digits) => typeof value === "number" ? String(Number(value.toPrecision(digits))) : value ?? "";
-  const brief = (value) => plain(value, 5);
+  const brief = (value) => String(Number(value.toPrecision(5)));
   const duration = (s) => s < 60 ? `${s.toFixed(3)} s` : `${Math.floor(s / 60)} min ${(s % 60).toFixed(3)} s`;
   // 612.439 is 10:12.439.
   const clock = (s) => {
@@ -281,14 +279,13 @@
       { hovermode: "closest", barmode: "overlay", annotations: titles, shapes: faulty() })];
   }
 
-  // Adds a picture with its heading and its table. drawn: returns traces and layout; time: whether x is the time.
+  // Adds a picture with its heading. drawn: returns traces and layout; isTime: whether x is the time.
   function picture(box, head, height, key, isTime, drawn) {
-    const div = make("div", { className: "plot" }), details = make("details", {}, make("summary", { textContent: "table" }));
+    const div = make("div", { className: "plot" });
     div.style.height = `${height}px`;
-    const figure = { div, drawn, isTime, height, isNear: false, isStale: true, details };
+    const figure = { div, drawn, isTime, height, isNear: false, isStale: true };
     div.dataset.stale = "";
-    details.ontoggle = () => tabulate(figure);
-    box.append(make("figure", { className: isTime ? key.includes(".") || !key ? "" : "wide" : "cloud" }, make("figcaption", {}, ...head), div, details));
+    box.append(make("figure", { className: isTime ? key.includes(".") || !key ? "" : "wide" : "cloud" }, make("figcaption", {}, ...head), div));
     div.parentNode.dataset.key = key;
     figures.push(figure);
     watcher.observe(div);
@@ -310,7 +307,6 @@
     Plotly.react(div, traces, made, CONFIG);
     if (isRough) return;
     delete div.dataset.stale;
-    if (figure.details.open) tabulate(figure);
     if (!isNew || !figure.isTime) return;
     div.on("plotly_relayout", (change) => {
       const from = change["xaxis.range[0]"] ?? change["xaxis.range"]?.[0], to = change["xaxis.range[1]"] ?? change["xaxis.range"]?.[1];
@@ -357,27 +353,6 @@
     coloursKnown = new Map();
     figures.forEach(outdate);
     refine();
-  }
-
-  // The table of a picture, of what it shows now.
-  function tabulate({ div, details }) {
-    details.querySelector("table")?.remove();
-    if (!details.open) return;
-    const shown = div.data.filter(({ visible, x }) => visible !== false && x.length);
-    const table = make("table"), head = table.createTHead().insertRow(), body = table.createTBody();
-    const row = (cells) => { const line = body.insertRow(); cells.forEach((text) => { line.insertCell().textContent = text; }); };
-    const rows = (names, found) => { head.append(...names.map((textContent) => make("th", { textContent }))); found.forEach(row); };
-    if (shown[0]?.type === "bar") {
-      rows(["what", "source", "value", "when"], shown.flatMap(({ name, customdata }) => customdata.map(([title, said, at]) => [title, name, said, at.replace("<br>", " ")])));
-    } else if (shown[0]?.mode === "markers") {
-      rows(["source", "x", "y"], shown.flatMap(({ name, x, y }) => Array.from(x, (value, i) => [name, brief(value), brief(y[i])])));
-    } else {
-      const own = shown.filter(({ mode }) => mode === "lines");
-      const at = (times, values, t) => { const i = indexOf(times, t + 1e-6) - 1; return i < 0 || values[i] !== values[i] ? "" : brief(values[i]); };
-      const times = Array.from({ length: ROWS }, (_, i) => seen[0] + i / (ROWS - 1) * (seen[1] - seen[0]));
-      rows(["time, s", ...own.map(({ name }) => name)], times.map((t) => [plain(t, 7), ...own.map(({ x, y }) => at(x, y, t))]));
-    }
-    details.append(table);
   }
 
   function build() {

@@ -6,6 +6,7 @@ Seconds have three decimals everywhere, but in a headline.
 
 import html
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 
@@ -35,11 +36,6 @@ def clock(seconds: float) -> str:
     """Return 612.439 as `10:12.439`."""
     minutes, rest = divmod(round(abs(seconds) * 1000), 60_000)
     return f"{'-' * (seconds < 0)}{minutes}:{rest // 1000:02}.{rest % 1000:03}"
-
-
-def minute(seconds: float) -> str:
-    """Return 612.439 as `10:12`, where thousandths mean nothing."""
-    return f"{int(seconds) // 60}:{int(seconds) % 60:02}"
 
 
 def utc(epoch: float, seconds: float) -> str:
@@ -106,7 +102,8 @@ def _incident(row: Record, data: Record) -> str:
         end = data["length"] if until is None else until
         damaged = sum(begin <= at <= end for at in _damaged(row["source"], data))
         came = f", in which {count_of(damaged, 'damaged message')} came" if damaged else ""
-        return f"silent {lasts}, from {clock(begin)}{came}"
+        told = "; Commands lost, too" * any(one["is_command"] for one in rows)
+        return f"silent {lasts}, from {clock(begin)}{came}{told}"
     text = f"{row['what']} {f'{lasts} ' * (until != begin)}at {clock(begin)}"
     if lasts == "until the end":
         text = f"{row['what']} at {clock(begin)}, {lasts}"
@@ -135,6 +132,8 @@ def _differences(rows: list[Record], whole: float) -> Iterator[tuple[float, str,
         what = re.sub("^(DC|Torque IQ) ", "", row["title"]).lower() if row["is_supply"] else row["title"]
         word = "more" if abs(row["value"]) > abs(row["beside"]) else "less"
         when = "throughout" if row["share"] > SHARE else f"in {row['share']:.0%} of the flight"
+        if row["end"] is not None and row["share"] <= SHARE:
+            when = f"from {clock(row['at'])[:-4]} to {clock(row['end'])[:-4]}"
         text = f"{abs(more):.0%} {word} {what} {when} ({row['value']:.1f} beside {row['beside']:.1f} {row['unit']})"
         warm = [one for one in hot if one["away"] > 0] if word == "more" else []
         if warm:
@@ -147,7 +146,7 @@ def _differences(rows: list[Record], whole: float) -> Iterator[tuple[float, str,
               if row["kind"] == "limit" or (row["kind"] == "left" and row["field"] in fields)}  # fmt: skip
     if hot:
         row, *others = hot
-        end = "at the end" if row["end"] > whole - 10 else f"at {minute(row['end'])}"
+        end = "at the end" if row["end"] > whole - 10 else f"at {clock(row['end'])[:-4]}"
         word = "above" if row["away"] > 0 else "below"
         text = f"{row['title']} {row['value']:.0f} °C {end}, {abs(row['away']):.0f} {word} the others"
         text += f", {row['slope']:+.1f} °C/min" * (abs(row["slope"]) >= 0.5)
@@ -162,7 +161,7 @@ def _differences(rows: list[Record], whole: float) -> Iterator[tuple[float, str,
         yield 50.0, f"{row['title']} {_limit(row)}", row
     for row in rows:
         if row["kind"] == "sag":
-            span = f"{minute(row['at'])} to {minute(row['end'])}"
+            span = f"{clock(row['at'])[:-4]} to {clock(row['end'])[:-4]}"
             yield 55.0, f"{row['usual']:.1f} to {row['value']:.1f} V, {span}, all controllers{row['more']}", row
         elif row["kind"] == "surge" and not row["has_fault"]:
             text = f"{row['title']} {row['value']:.1f} {row['unit']}, {row['times']:.1f} times the others'"
@@ -221,10 +220,15 @@ def headline(data: Record) -> tuple[str, str]:
     said += [f"{count_of(len(hot - loaded), 'controller')} too hot"] if hot - loaded else []
     said += [f"battery down to {min(row['value'] for row in sags):.1f} V"] if sags else []
     said += [f"{count_of(len(odd), 'other controller' if hot - loaded else 'controller')} to look at"] if odd else []
-    losses = [one for row in data["incidents"] for one in row["rows"] if one["kind"] in LOSSES]
-    who = {one["label"] for one in losses}
-    whose = f" of {who.pop()}" if len(who) == 1 else ""
-    lost = [f"{count_of(sum(one['count'] for one in losses), 'message')}{whose} damaged or lost"] if losses else []
+    losses: Counter[tuple[str, bool]] = Counter()
+    for one in (one for row in data["incidents"] for one in row["rows"] if one["kind"] in LOSSES):
+        losses[one["label"], one["kind"] == "missing"] += one["count"]
+    who = sorted({label for label, _ in losses})
+    count = sum(
+        max(losses[label, True], losses[label, False]) for label in who
+    )  # one that came damaged is missing, too
+    whose = f" of {who[0]}" if len(who) == 1 else ""
+    lost = [f"{count_of(count, 'message')}{whose} damaged or lost"] if who else []
     if said:
         return "NOT GOOD", ", ".join(said + lost)
     if data["left_out"]:
@@ -265,10 +269,11 @@ def _cause(who: str, said: Sequence[Record]) -> str:
 
 
 def _phases(data: Record) -> str:
-    spans = ", ".join(f"{minute(begin)} to {minute(end)}" for begin, end in data["flight"])
+    spans = ", ".join(f"{clock(begin)[:-4]} to {clock(end)[:-4]}" for begin, end in data["flight"])
     flight = f"In flight (by speed) {spans}; means are of the flight only. " if spans else ""
     found = {*causes(data), *(row["label"] for row in data["incidents"])}
     innocent = [label for label in data["controllers"] if label not in found]
+    innocent += [] if any("bus" in row["kinds"] for row in data["incidents"]) else ["the buses"]
     flight = f"Nothing found of {', '.join(innocent)}. {flight}" if innocent else flight
     limits = ", ".join(data["limits"])
     if data["has_default_limits"]:
