@@ -134,4 +134,4 @@ export class List {
   }
 }
 
-const cell = (text, role) => make("span", { role, title: text }, text);
+const cell = (text, role) => make("span", { role, title: text, className: /^-?[\d.]+$/.test(text) ? "number" : "" }, text);
