@@ -91,11 +91,12 @@ def test_in_a_terminal():
     assert behind.startswith("1\n") and behind.count("motor_overcurrent") == 2
 
 
-def test_a_small_terminal_without_colour():
-    written = in_terminal(",bitrate=500000", size=(7, 50), env={"NO_COLOR": "1"})
+@pytest.mark.parametrize("size, lines, columns", [((7, 50), 6, 50), ((0, 0), 23, 80)], ids=["small", "serial console without a size"])
+def test_a_small_terminal_without_colour(size, lines, columns):
+    written = in_terminal(",bitrate=500000", size=size, env={"NO_COLOR": "1"})
     assert RED not in written
     for screen in screens(written):
-        assert len(screen) <= 6 and max(map(len, screen)) <= 50, screen
+        assert len(screen) <= lines and max(map(len, screen)) <= columns, screen
     assert any("SILENT" in (row(screen, "right") or "") for screen in screens(written))
     assert any(line.startswith("bus ") for line in screens(written)[-1])
 

@@ -230,10 +230,10 @@ end
 
 -- The terminal --------------------------------------------------------------------------------
 
--- Return the width and height of the terminal.
+-- Return the width and height of the terminal; a serial console reports 0.
 local function terminal_size()
   local stty = io.popen("stty size 2>/dev/null </dev/tty")
-  local height, width = stty:read("*a"):match("(%d+) (%d+)")
+  local height, width = stty:read("*a"):match("([1-9]%d*) ([1-9]%d*)")
   stty:close()
   return tonumber(width) or DEFAULT_WIDTH, tonumber(height) or DEFAULT_HEIGHT
 end
