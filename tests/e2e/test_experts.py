@@ -111,7 +111,7 @@ def test_a_command_turns_motors_off(folder):
 def test_every_expert_item_has_a_capture():
     """That of yapp.copy: test_copies.py."""
     found = {row[0] for row in EXPERTS + KNOWN_LATER} | {row[0] for row in CLOCKS} | {"taurus.disabled", "yapp.copy"}
-    assert found == set(model.EXPERTS + model.EVENT_EXPERTS)
+    assert found == set(model.EXPERTS + model.EVENT_EXPERTS), "a row of EXPERTS, with its capture"
 
 
 def found_and_shown(name, capture, passes):

@@ -19,7 +19,7 @@ end
 
 local OPTIONS = { new_framer = new_framer, time_of = time_of }
 -- The port type in front of the bytes of a record.
-local SKIPPED = { ["\3"] = false, ["\4"] = true }
+local SKIPPED = { ["\3"] = false, ["\5"] = true }
 
 -- What read and seek_read return, as a record.
 local function record_of(offset, packet, seconds, nanoseconds)

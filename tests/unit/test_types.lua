@@ -114,7 +114,7 @@ function T.test_limits()
     lu.assertEquals({ shown(m, hex) }, { wanted, experts }, kind .. " " .. hex)
     for _, filter in ipairs(m.filters) do lu.assertTrue(API[filter[2]], kind .. ": " .. filter[2]) end
     local names = {}
-    for i, column in ipairs(text_of.columns(m)) do names[i] = column.name end
+    for i, column in ipairs(text_of.columns(m, {})) do names[i] = column.name end
     lu.assertEquals(select(2, wanted:gsub('"[^"]*"', ""):gsub(",", "")), #names - 1, kind)
   end
 end
@@ -181,7 +181,7 @@ function T.test_columns_of_derived_values()
     differences = { { "d", "a", "b", "D" } }, derived = { { "p", "a * b", "P", unit = "W" } },
     { "a", "uint8", "A" }, { "b", "float8", "B", min = 0, max = 2.5 } } }
   local m, names = compiled.messages[1], {}
-  for i, column in ipairs(text_of.columns(m)) do
+  for i, column in ipairs(text_of.columns(m, {})) do
     names[i] = ("%s %s %s"):format(column.name, column.type, column.unit or "-")
   end
   lu.assertEquals(names, { "a integer -", "b float -", "b_special string -", "p float W" })
@@ -214,8 +214,8 @@ function T.test_names_of_columns_that_are_taken()
   local m = message(4, { "time", "uint8", "T" }, { "id", "uint8", "I" }, { "x", "uint8", "X", values = {} },
     { "x_text", "uint8", "Y" })
   local names = {}
-  for i, column in ipairs(text_of.columns(m)) do names[i] = column.name end
-  lu.assertEquals(names, { "time_2", "id_2", "x", "x_text", "x_text_2" })
+  for i, column in ipairs(text_of.columns(m, { { name = "time" }, { name = "id" } })) do names[i] = column.name end
+  lu.assertEquals(names, { "time", "id", "time_2", "id_2", "x", "x_text", "x_text_2" })
 end
 
 -- A unit follows a value if its placeholder says so, also a reserved value and one that is not there.

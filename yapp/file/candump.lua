@@ -11,6 +11,31 @@ local M = {}
 
 local SECOND = 1000000000 -- nanoseconds
 
+-- Times -------------------------------------------------------------------------------------------
+
+local DATE = "^(20%d%d)%-(%d%d)%-(%d%d) (%d%d):(%d%d):(%d%d)$"
+
+-- Return the seconds since 1970, or nil.  A date is local time, as Wireshark shows it.  An
+-- absolute time has ten digits at least: candump pads it.
+local function parse_seconds(whole)
+  if #whole <= 12 then return tonumber(whole) end
+  local year, month, day, hour, min, sec = match(whole, DATE)
+  if not year then return nil end
+  return os.time { year = year, month = month, day = day, hour = hour, min = min, sec = sec }
+end
+
+local function set_time(record, stamp)
+  if not stamp then return true end
+  local whole, fraction = match(stamp, "^(%d[%d%-: ]*)%.(%d+)$")
+  local seconds = whole and parse_seconds(whole)
+  if not seconds then return false end
+  -- Old versions of asc2log write "1.1000000" for two seconds.
+  if fraction == "1000000" then seconds, fraction = seconds + 1, "0" end
+  record.stamp, record.seconds = stamp, seconds
+  record.nanoseconds = tonumber((fraction .. "00000000"):sub(1, 9))
+  return true
+end
+
 -- A line ------------------------------------------------------------------------------------------
 
 -- Return the id with SocketCAN's flags for 3 (standard) or 8 (extended, or error) hex digits, or
@@ -94,29 +119,6 @@ local KNOWN = {
   "%[%d%d%d%d%]%s+%(%x%x|", -- CAN XL, on the screen
   "^\t%l+%-[%l-]+%f[{%s\0]",
 }
-
-local DATE = "^(20%d%d)%-(%d%d)%-(%d%d) (%d%d):(%d%d):(%d%d)$"
-
--- Return the seconds since 1970, or nil.  A date is local time, as Wireshark shows it.  An
--- absolute time has ten digits at least: candump pads it.
-local function parse_seconds(whole)
-  if #whole <= 12 then return tonumber(whole) end
-  local year, month, day, hour, min, sec = match(whole, DATE)
-  if not year then return nil end
-  return os.time { year = year, month = month, day = day, hour = hour, min = min, sec = sec }
-end
-
-local function set_time(record, stamp)
-  if not stamp then return true end
-  local whole, fraction = match(stamp, "^(%d[%d%-: ]*)%.(%d+)$")
-  local seconds = whole and parse_seconds(whole)
-  if not seconds then return false end
-  -- Old versions of asc2log write "1.1000000" for two seconds.
-  if fraction == "1000000" then seconds, fraction = seconds + 1, "0" end
-  record.stamp, record.seconds = stamp, seconds
-  record.nanoseconds = tonumber((fraction .. "00000000"):sub(1, 9))
-  return true
-end
 
 -- A file ------------------------------------------------------------------------------------------
 
@@ -247,7 +249,7 @@ function M.open(file, report)
     end
   end
   log.read_usual = not log.has_deltas and read_usual or nil
-  log.decimals = head:find("%(%d+%.%d%d%d%d%d%d%d%d%d%)") and 9 or 6
+  log.decimals = head:find("%.%d%d%d%d%d%d%d%d%d%f[%D]") and 9 or 6
   return log:open(head, report)
 end
 

@@ -10,9 +10,9 @@ local ID_FROM, ID_TO = 5, 8 -- bytes of a frame that are its ID
 
 -- A record is an exported PDU: it names its dissector, and its port type, UDP, says that it is
 -- complete in itself.  Bytes between frames may look like the start of a frame.  Only the bytes
--- behind them prove that they are not, so they have the port type DCCP, see serial.lines.
+-- behind them prove that they are not, so they have the port type IPX, see serial.lines.
 local TAGS = "\0\12\0\12yapp_serial\0\0\24\0\4\0\0\0%s\0\0\0\0" -- each with its length
-local FRAME, SKIPPED = TAGS:format("\3"), TAGS:format("\4")
+local FRAME, SKIPPED = TAGS:format("\3"), TAGS:format("\5")
 
 -- Times ------------------------------------------------------------------------------------------
 

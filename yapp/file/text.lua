@@ -9,7 +9,8 @@
 --             returns whether there is such a time, or may be none
 --   forms     list of the forms of a line with a frame, behind the time: {
 --               pattern     its captures are the arguments of read
---               read        function(log, captures), which returns a record, nil if it is damaged
+--               read        function(log, captures), which returns a record, with its time if that
+--                           is among them; nil if it is damaged
 --               like        pattern, in lower case: a line that has it was a frame
 --               needs_time  true if a line without a time is of another program }
 --   known     patterns, in lower case, of lines without a frame

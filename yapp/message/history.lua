@@ -109,15 +109,17 @@ end
 
 -- Clocks -----------------------------------------------------------------------------------------
 
--- Return the controller's clock in nanoseconds, exact up to 104 days (2^53 ns); nil for a message
+--- Return the controller's clock in nanoseconds, exact up to 104 days (2^53 ns); nil for a message
 -- without one.
-local function clock_of(message)
+-- message  or its event
+function M.clock_of(message)
   local field = message.raws and message.source.type.time
   local raw = field and message.raws[field.index]
   if not raw then return nil end
   local seconds, nanoseconds = binary.time(raw)
   return seconds * 1e9 + nanoseconds
 end
+local clock_of = M.clock_of
 
 -- Return whether a message proves that several controllers share its source.  Their clocks
 -- alternate:

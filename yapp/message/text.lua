@@ -145,8 +145,6 @@ end
 
 -- The cells of a reserved value: no number, and its name.
 local SPECIAL_CELLS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" }
--- Names of columns that stat.csv puts in front of a message's own.
-local TAKEN = "time frame bus source id seq crc_good"
 
 -- Return the fields and derived values of a message.
 local function fields_of(message_type)
@@ -158,11 +156,13 @@ local function fields_of(message_type)
 end
 
 --- List the columns of a message, in order.
--- returns  a list of { name =, unit = or nil, type = "float", "integer", "bool", "string" or "time"
---          (seconds), field = or item of derived values, flag = for the column of a flag }; a name
---          that another column has already ("time", "id") gets "_2" behind it
-function M.columns(message_type)
-  local columns, taken = {}, input.set(TAKEN)
+-- common   list of those in front of its own
+-- returns  a list of these and its own: { name =, unit = or nil, type = "float", "integer", "bool",
+--          "string" or "time" (seconds), field = or item of derived values, flag = for the column
+--          of a flag }; a name that another column has already ("time", "id") gets "_2" behind it
+function M.columns(message_type, common)
+  local columns, taken = joined(common), {}
+  for _, column in ipairs(common) do taken[column.name] = true end
   local function add(field, name, column_type, unit, flag)
     local own_name, count = name, 1
     while taken[own_name] do

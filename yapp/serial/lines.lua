@@ -6,8 +6,8 @@ local memo = require "yapp.base.memo"
 
 local M = {}
 
--- pinfo.port_type; in a raw dump UDP and, for bytes of no frame, DCCP.
-M.TCP, M.UDP, M.SKIPPED = 2, 3, 4
+-- pinfo.port_type; in a raw dump UDP and, for bytes of no frame, IPX, which carries no YAPP.
+M.TCP, M.UDP, M.SKIPPED = 2, 3, 5
 -- Addresses of packets without one: of a serial line, or of a raw dump, whose packets are like UDP.
 local NO_ADDRESS = { [""] = true, NONE = true }
 

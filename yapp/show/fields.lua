@@ -4,12 +4,12 @@
 --
 -- A field of YAPP's is a row of YAPP, an expert item a row of M.EXPERTS.
 
+local can_id = require "yapp.wire.can_id"
 local joined = require "yapp.base.joined"
 
 local M = {}
 
 local unpack = rawget(table, "unpack")
-local FRAME_KINDS = { [0] = "Single", "Start", "Middle", "End" }
 local CRC_STATUS = { [0] = "Bad", "Good", "Unverified" }
 
 -- filter, type, title, description, base, values
@@ -27,7 +27,7 @@ local YAPP = {
   { "yapp.sync", "UINT16", "Sync",
     "The bytes YP, with which a frame in a stream begins", "HEX" },
   { "yapp.can.ctrl", "UINT8", "CAN frame",
-    "Which part of a message a CAN frame is", nil, FRAME_KINDS },
+    "Which part of a message a CAN frame is", nil, can_id.CTRL_NAMES },
   { "yapp.crc", "UINT32", "CRC",
     "CRC-32K of header and payload, as it was sent", "HEX" },
   { "yapp.crc.status", "UINT8", "CRC status",
@@ -71,7 +71,9 @@ local YAPP = {
 }
 
 --- Expert items: filter, text, group, severity.  The text is the same each time, so that
--- `-z expert` counts it; numbers stand in the item's label, see M.add_expert.  Of a change:
+-- `-z expert` counts it; numbers stand in the item's label, see M.add_expert.  An anomaly, a remark
+-- on a value or a change raises it: else the result is a usual one, see reading.records, of which
+-- the view draws nothing for `-z expert`.  Of a change:
 --   change  its name in message.history
 --   label   of the item, with the number of the change; nil for the text
 --   word    in the Info column, or nil

@@ -44,7 +44,7 @@ end
 
 -- Return the common columns, then the message's.
 local function columns_of(self, message_type)
-  return joined(COMMON, self.options.all and CRC_GOOD or {}, text_of.columns(message_type))
+  return text_of.columns(message_type, joined(COMMON, self.options.all and CRC_GOOD or {}))
 end
 
 -- Begin the table of a message.

@@ -6,7 +6,7 @@
 
 local END = require("yapp.wire.can_id").END
 local buses = require "yapp.stat.buses"
-local binary = require "yapp.message.binary"
+local clock_of = require("yapp.message.history").clock_of
 local compiler = require "yapp.message.catalogue"
 local field_kinds = require "yapp.message.field_kinds"
 local kinds = require "yapp.stat.kinds"
@@ -113,15 +113,6 @@ local function emit(self, kind, cause, values)
   self.hand_on(new_follower(kind, cause, values))
 end
 
--- Return the controller's clock in a message, in seconds; nil for one without it.
-local function clock_of(event)
-  local field = event.raws and event.source.type and event.source.type.time
-  local bytes = field and event.raws[field.index]
-  if not bytes then return nil end
-  local seconds, nanoseconds = binary.time(bytes)
-  return seconds + nanoseconds / 1e9
-end
-
 -- Return how many messages have room in a gap, in seconds, between two that come every so often.
 local function room_in(length, every)
   local periods = length / every
@@ -215,7 +206,7 @@ local function add_span(self, state, last, event, change)
     -- The controller's clock has the gap, unless that was set.
     local before, now = clock_of(last), clock_of(event)
     local is_even = before and now and now > before and not change.jump
-    room = room_in(is_even and now - before or length, every)
+    room = room_in(is_even and (now - before) / 1e9 or length, every)
   end
   state.room = state.room + room
   if not late then return end

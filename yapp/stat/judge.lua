@@ -135,7 +135,8 @@ local function judge(series, value, low, high, event)
   series.stretch = nil
 end
 
-local function add_noise(series, value)
+--- Add a number to the noise of a series.
+function M.add_noise(series, value)
   local first, second = series.first, series.second
   if first then
     series.noise = series.noise + math.abs(second - (first + value) / 2)
@@ -157,7 +158,7 @@ local function add_value(series, value, numbers, event)
   if value ~= value then return end
   series.count, series.sum = series.count + 1, series.sum + value
   if low then judge(series, value, low, high, event) end
-  if rule.kind.name == "noise" then add_noise(series, value) end
+  if rule.kind.add then rule.kind.add(series, value) end
 end
 
 --- Add a message.

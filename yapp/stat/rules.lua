@@ -125,7 +125,8 @@ end
 -- text     a rule of it, as errors and docs/rules.md name it
 -- help     its meaning, for people
 -- limits   see above; nil for at_most
--- measure  see above; or value = function(series of stat.judge) -> what it is
+-- measure  see above; or value = function(series of stat.judge) -> what it is, and
+--          add = function(series, number), where the series must gather more; nil for none
 -- is_count true if it has no margin
 -- needs_past, needs_time, can_mend, scope  as in rows of kinds
 
@@ -204,6 +205,7 @@ M.OF_FIELD = input.rows("name text help", {
     "noise",
     "MESSAGE.FIELD.noise=X",
     "values lie in the mean at most X from the mean of their neighbours",
+    add = judge.add_noise,
     value = function(series) return series.noise / math.max(series.noisy, 1) end,
     can_mend = true,
   },
