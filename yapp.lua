@@ -179,7 +179,6 @@ all.dissector = counted(function(...) return frames:dissect_any(...) end)
 -- See the CAN frames that no other dissector accepts: with the preference yapp.all_extended they
 -- are YAPP's; a statistic counts them.
 local function watch_unclaimed()
-  headers:start()
   register_heuristic("can", all, function(tvb, pinfo, root)
     if settings.accepts_all then return frames:dissect_any(tvb, pinfo, root) > 0 end
     frames:remember(tvb, pinfo)
@@ -226,7 +225,6 @@ local function make_statistics()
     reading = reading,
     find_options = function() return streams:undecoded_options() end,
     frames = frames,
-    headers = headers,
     counted = counted,
     calls = calls,
     watch = function()
@@ -237,10 +235,6 @@ local function make_statistics()
         local tap = Listener.new(name)
         tap.packet = counted(function(pinfo, tvb) streams:count_headers(pinfo, tvb) end)
       end
-    end,
-    -- A wrapper that is there when Wireshark reloads its Lua plugins takes SocketCAN away with it.
-    unwatch = function()
-      if not capture.found.is_live then headers:stop() end
     end,
   }
 end
@@ -286,7 +280,10 @@ local function read_preferences()
     hides_values = prefs.hide_values,
   }, function(id) ids:register_id(id) end)
   settings.accepts_all = prefs.all_extended
-  if settings.accepts_all then watch_unclaimed() end
+  if settings.accepts_all then
+    headers:start()
+    watch_unclaimed()
+  end
   settings.late, settings.ids, settings.problems = late, chosen, problems
   settings.sources = sources
 end

@@ -208,6 +208,14 @@ def test_asc(folder):
     assert failed(rows) == {"bus_off": 1, "bus_passive": 1}
 
 
+@pytest.mark.parametrize("link", [1, 147])  # Ethernet, DLT_USER
+def test_packets_of_others_with_the_same_bytes(folder, link):
+    """They are no error frames, and none that Wireshark 4.6 refuses."""
+    bodies = [record(error(0, 0, "off")), struct.pack(">IB3x", EXTENDED | 1, 52) + bytes(52)]
+    (folder / "others.pcap").write_bytes(capture_file.pcap(link, [(BEGIN + at, body) for at, body in enumerate(bodies)]))
+    assert not [row for row in said(folder / "others.pcap", "-z", "yapp,check,json,bus_errors=0,dropped=0") if row.get("seen") or "kind" in row]
+
+
 def test_near(folder):
     """A fault, a silence and a loss name the bus events of their bus that come within a second."""
     frames = []

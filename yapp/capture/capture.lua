@@ -60,8 +60,7 @@ local function read_file(file)
   found.is_cut = not is_long_pipe and ending.is_cut(file)
   -- A short file may be of a live capture that already had packets when it was opened; one that is
   -- damaged, as a compressed file that was cut off, was not read to its end.
-  local may_be_several = found.has_several or #found.interfaces > 1
-  found.needs_fields = found.is_live or is_short and may_be_several or
+  found.needs_fields = is_short and found.may_be_several or
     is_long_pipe and found.may_add_buses or why ~= nil
   return found
 end
@@ -153,6 +152,15 @@ end
 --- Return whether the capture is known to have several buses.
 function Capture:are_several()
   return facts_of(self).has_several or false
+end
+
+--- Return whether a packet may begin with the header of a CAN frame; nil where the file does not
+-- tell it.
+function Capture:is_can(number, pinfo)
+  local found = self.found
+  if not found.is_told then return nil end
+  local bus = found.buses[self.bus_of(number, pinfo) or 1]
+  return bus ~= nil and bus.interface.is_can
 end
 
 --- Return whether the file ends before its own end, see capture.ending.  Of a compressed one its

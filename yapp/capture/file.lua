@@ -89,11 +89,13 @@ local function index_by_flags(_, flags) return FLAG_DIRECTIONS[flags % 4] or 0 e
 --   index_of  function(head, flags) -> the index of a packet's bus in its interface, nil for a
 --             packet that carries none; nil where the interface is one bus.  head has the first
 --             HEADER bytes of the packet
+--   is_can    true if packets may begin with the header of a CAN frame
 --   option    of tshark that decodes YAPP in it; or nil }
 local LINKS = {
-  [227] = {}, -- SocketCAN
-  [113] = {}, -- Linux cooked
+  [227] = { is_can = true }, -- SocketCAN
+  [113] = { is_can = true }, -- Linux cooked
   [COOKED_2] = {
+    is_can = true,
     index_of = function(head)
       if not IS_CAN[sub(head, 1, 2)] or #head < HEADER then return nil end
       local a, b, c, d = byte(head, 5, 8)
@@ -147,6 +149,7 @@ local function new_interface(number, linktype, name)
     number = number,
     link = link,
     is_serial = link and link.index_of == index_by_flags,
+    is_can = not linktype or link ~= nil and link.is_can or false,
     name = name and utf8.printable(name),
     per_second = 1e6, -- time units
     shift = 0, -- seconds to add to its times
@@ -381,6 +384,8 @@ function M.read(head, more)
     uses = {}, -- by name: how many buses have it
     has_one_bus = false, -- true if all packets are of one bus, also those not read
     has_several = false, -- true if it has several buses, or will have them in a live capture
+    -- True if a short file may have several: of `tshark -i can0` the one interface is there first.
+    may_be_several = false,
     may_add_buses = false, -- true if packets that were not read may be of another bus
     is_live = false, -- true if it is pcapng without a packet yet, as when a capture begins
     is_told = format ~= nil, -- true if it is of a format that this module reads
@@ -409,6 +414,8 @@ function M.read(head, more)
   self.is_unknown = self.is_unknown or #self.interfaces > 1 and not may_carry_yapp
   self.may_add_buses = may_carry_yapp and not self.has_one_bus
   self.has_several = #self.buses > 1 or self.is_live and self.has_indexes
+  self.may_be_several = #self.interfaces > 1 or self.has_several or
+    self.is_live and #self.buses ~= 1
   self.may_have_frames = has_frame or not has_packets
   return self
 end

@@ -1,10 +1,9 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The headers of CAN frames: SocketCAN hands on their data alone.  Wireshark's API.
 --
--- SocketCAN finds our messages in its table of ids, where pinfo.match_uint is the id.  Of all other
--- frames a wrapper in front of SocketCAN reads the header.  It begins only with Decode As,
--- yapp.all_extended or a statistic.  It costs about 3 µs a CAN frame, so in tshark's only pass it
--- ends: there the filter of a statistic's tap names the fields, so that they are in the tree.
+-- SocketCAN finds our messages in its table of ids, where pinfo.match_uint is the id.  With Decode
+-- As or yapp.all_extended a wrapper in front of SocketCAN reads the headers, which costs about 3 µs
+-- a frame.  A statistic's tap reads one where nothing else tells what it has (host.can).
 
 local fields_of = require "yapp.capture.fields"
 local wrapper = require "yapp.host.wrapper"
@@ -44,11 +43,6 @@ end
 --- Read the header of every frame from now on.
 function Headers:start()
   self.wrapper:start()
-end
-
---- Read no more headers.
-function Headers:stop()
-  self.wrapper:stop()
 end
 
 --- Return the id of the current frame, which did not come through the table of ids.

@@ -73,16 +73,6 @@ function Wrapper:start()
   end
 end
 
---- See no more packets.
-function Wrapper:stop()
-  if not self.inner then return end
-  for _, entry in ipairs(self.entries) do
-    local inner = self.inner[entry[2]]
-    if inner then DissectorTable.get(entry[1]):add(entry[2], inner) end
-  end
-  self.inner, self.number, self.header = nil, nil, nil
-end
-
 --- Return whether the header of a packet was read, and what it says.
 -- number  of the packet
 function Wrapper:read(number)

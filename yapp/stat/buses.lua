@@ -11,12 +11,13 @@ local input = require "yapp.base.input"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
+local socketcan = require "yapp.wire.socketcan"
 
 local M = {}
 
 local span = kinds.span
+local read_header = socketcan.read
 local CONTROLLER = 0x04 -- class: the controller's state follows
-local EXTENDED, REMOTE = 0x80, 0x40 -- flags in the highest byte of the id
 local ENDED = 1 -- seconds behind which a report without a state is a new one
 
 -- What an error frame may report, the gravest first: of these `buses` counts one a frame.
@@ -38,23 +39,11 @@ local REPORTS = input.rows("name bits is_event is_state", {
 local NAMES = {}
 for i, report in ipairs(REPORTS) do NAMES[i] = report.name end
 
--- Read the record of SocketCAN, which is in a packet behind the header of a cooked capture, if that
--- has one: its device type is 280, CAN, and then the record's id is little endian.
--- returns  the flags in its highest byte, its lower 16 bits, the length; nil if it is cut; and the
---          second data byte
-local function read_record(packet)
-  local offset = packet:find("^\0[\12\13]......\1\24") and 20 or
-    #packet > 16 and packet:find("^\0[\0-\4]\1\24") and 16 or 0
-  local a, b, c, d, length, _, _, _, _, second = packet:byte(offset + 1, offset + 10)
-  if offset > 0 then a, c, d = d, b, a end
-  return a, length and c * 0x100 + d, length, second or 0
-end
-
 --- Return what an error frame reports: a list of rows of REPORTS, the gravest first, and of several
 -- states only that one.
 -- packet  its bytes, from the beginning of the packet
 function M.read_error(packet)
-  local _, class, _, state = read_record(packet)
+  local _, class, _, _, state = read_header(packet)
   if band(class, CONTROLLER) > 0 then class = class + state * 0x10000 end
   local reports, has_state = {}, false
   for _, report in ipairs(REPORTS) do
@@ -120,10 +109,10 @@ end
 -- Return how many bits a frame takes on its bus, with the pause behind it and the mean stuffing of
 -- random bits.
 local function bits_of(packet)
-  local flags, _, length = read_record(packet)
-  if not length then return 0 end
-  local more = band(flags, REMOTE) > 0 and 0 or 8 * length
-  if band(flags, EXTENDED) > 0 then more = more + 20 end
+  local flags, _, length = read_header(packet)
+  if not flags then return 0 end
+  local more = band(flags, socketcan.REMOTE) > 0 and 0 or 8 * length
+  if band(flags, socketcan.EXTENDED) > 0 then more = more + 20 end
   return 47 + more + (34 + more) / 30
 end
 

@@ -198,8 +198,7 @@ local function deliver_rest(self, ending)
   deliver_waiting(self, true)
   local waiting = self.waiting
   for _, result in ipairs(ending.results) do
-    local is_cut = result.kind == "unfinished"
-    if not (is_cut and ending.unread) then events.append(waiting, result) end
+    if result.kind ~= "unfinished" or not ending.unread then events.append(waiting, result) end
   end
   output.sort(waiting, function(event) return event.kind == "unfinished" and event.frame or 0 end)
   deliver_waiting(self, true)

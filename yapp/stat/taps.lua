@@ -10,9 +10,13 @@ local options_of = require "yapp.stat.options"
 local output = require "yapp.stat.output"
 local preferences = require "yapp.host.preferences"
 local run_of = require "yapp.stat.run"
+local socketcan = require "yapp.wire.socketcan"
 local windows = require "yapp.stat.windows"
 
 local M = {}
+
+-- A method that Lua has to look up in a Tvb costs more than its work.
+local length_of, raw_of = Tvb.len, Tvb.raw
 
 local HAS_SHELL = package.config:sub(1, 1) == "/"
 local DEFAULT_WIDTH, DEFAULT_HEIGHT = 80, 24 -- of a terminal
@@ -27,13 +31,9 @@ local GOES_ON = "only %s were read: of a live capture with -b tshark analyses th
 local RESET = "only %d of %d packets were read, as tshark -M forgets what came before: leave it out"
 local STOPPED = "only %s were read, as -c stopped there: leave it out"
 local CUT = "the file ends early, so what came last is missing: its recorder did not close it"
--- A filter of error frames.  It names the fields of host.header, so that a tree has them.
-local ERROR_FRAMES = "can.flags.err == 1 && !can.id && !can.flags.xtd && !can.flags.rtr"
 local REFUSED = "this Wireshark does not dissect %s, as CAN FD without its flag FDF: use 4.4"
 -- COMPAT 4.6: earlier versions dissect CAN FD without its flag.
 local REFUSES_FRAMES = not get_version():find("^4%.[0-5]%.")
-local OF_REFUSED = "!can && !canfd && !canxl && " ..
-  "(sll.ltype in {0x0c, 0x0d} || frame.encap_type == " .. wtap.SOCKETCAN .. ")"
 local UNDECODED = "%s in this file %s not decoded; try %s"
 local RELOADED = "Lua plugins were reloaded while the capture was open, so not all of it is " ..
   "known: reload the capture, too (Ctrl+R)"
@@ -52,16 +52,16 @@ Stat.__index = Stat
 --     ids           [message name] = list of the IDs that its preference has
 --     problems      list of texts: wishes of the user that were not met }
 --   wants = a show.wants, capture = a capture.capture
---   reading    a reading.reading, frames = a host.can, headers = its host.header
+--   reading    a reading.reading, frames = a host.can
 --   find_options  function() -> list of tshark's options that decode other packets, and the number
 --              of headers that these have, 0 if it is not known
 --   watch      function(), called when statistics begin
---   unwatch    function(), called in Wireshark when one has ended, and when packets have come
 --   counted    function(f) -> f, whose calls are counted
 --   calls      { begun, ended = numbers }: of these calls since the capture was opened }
 function M.new(parts)
   parts.show = nil -- in Wireshark: function(text), which opens the window of an argument of -z
   parts.total = 0 -- in Wireshark: number of packets in the capture
+  parts.is_over = false -- true if a live statistic ends the reading of a file
   return setmetatable(parts, Stat)
 end
 
@@ -86,29 +86,52 @@ local function add_tap(self, filter, call)
   return tap
 end
 
+-- Return the source of a packet's bus.
+local function source_of_bus(self, number, pinfo)
+  return self.bus_sources[self.capture.bus_of(number, pinfo) or false]
+end
+
+-- See the header of a packet that has no frame of YAPP, or one that waits for it: Wireshark hands
+-- error frames to no dissector, and may refuse others.
+local function see_header(self, number, pinfo, tvb)
+  local frames, drop = self.frames, self.refused
+  local packet = length_of(tvb) > 0 and raw_of(tvb) or "" -- without bytes raw() throws past Lua
+  if frames.waits then frames:resume(number, packet) end
+  local kind = socketcan.find_unseen(packet)
+  local is_can = kind and self.capture:is_can(number, pinfo)
+  if kind == "error" and is_can ~= false then
+    self.current:report {
+      kind = "bus_errors",
+      frame = { number = number, time = pinfo.rel_ts, source = source_of_bus(self, number, pinfo) },
+      reports = buses.read_error(packet),
+    }
+  elseif kind == "long" and is_can and REFUSES_FRAMES then
+    drop.count = drop.count + 1
+    drop.frame, drop.time = drop.frame or number, drop.time or pinfo.abs_ts
+  end
+end
+
 -- Tap all packets: ask nothing of a packet that need not be.  tshark numbers them as they come.
 local function tap_packets(self)
   local tap, is_waiting, run = add_tap(self), IS_TSHARK, self.current
   local calls, capture, frames, asker = self.calls, self.capture, self.frames, self.wants
   local function has_clock() return select(2, capture:has_times()) end
 
-  function tap.packet(pinfo)
+  function tap.packet(pinfo, tvb)
     local number = run.packets + 1
     -- Packets that come while Wireshark revisits those of a live capture are revisited, too.
     if not IS_TSHARK and pinfo.number ~= number then return end
     calls.begun = calls.begun + 1
     if number == 1 then run.dates:set_first(capture:begin(pinfo)) end
-    if frames.refused then frames:count_refused(number) end
     if is_waiting and asker.first_pass then -- known once a packet has YAPP
       is_waiting = false
       -- A tap that is called before the last packet is dissected is so in tshark's only pass.
-      if not frames:is_second_pass(number) then
-        asker:set_only_pass()
-        self.headers:stop() -- see ERROR_FRAMES
-      end
+      if not frames:is_second_pass(number) then asker:set_only_pass() end
     end
+    if frames.waits or number ~= frames.number then see_header(self, number, pinfo, tvb) end
     run:packet(number, pinfo.rel_ts, has_clock)
     calls.ended = calls.ended + 1
+    if self.is_over then self:conclude() end
   end
 
   -- All packets will be revisited.  In Wireshark another window that wants to read while this
@@ -120,45 +143,15 @@ local function tap_packets(self)
   end
 end
 
--- Tap the CAN frames that a filter lets through.
--- on_frame  function(source of the bus, pinfo, tvb)
-local function tap_can(self, filter, on_frame)
-  add_tap(self, filter, function(pinfo, tvb)
-    on_frame(self.bus_sources[self.capture.bus_of(pinfo.number, pinfo) or false], pinfo, tvb)
-  end)
-end
-
--- Wireshark hands error frames to no dissector.
-local function tap_bus_errors(self)
-  self.bus_sources = memo(function(bus) return { bus = self.capture:name(bus or nil) } end)
-  tap_can(self, ERROR_FRAMES, function(source, pinfo, tvb)
-    self.current:report {
-      kind = "bus_errors",
-      frame = { number = pinfo.number, time = pinfo.rel_ts, source = source },
-      reports = buses.read_error(tvb:raw()),
-    }
-  end)
-end
-
--- Count the frames that this Wireshark refuses.
-local function tap_refused(self)
-  local drop = { count = 0 } -- as of Capture:drops
-  self.refused = drop
-  if not REFUSES_FRAMES then return end
-  add_tap(self, OF_REFUSED, function(pinfo)
-    drop.count = drop.count + 1
-    drop.frame, drop.time = drop.frame or pinfo.number, drop.time or pinfo.abs_ts
-  end)
-end
-
 -- Show all CAN frames to a stat.buses.
 -- filter  that these pass, or nil
 local function tap_frames(self, statistic, filter)
   local passes = filter and (" && (%s)"):format(filter) or ""
   local stamps, frames = self.capture.stamps, self.frames
-  tap_can(self, "can.id" .. passes, function(source, pinfo, tvb)
-    local is_yapp = frames.number == pinfo.number
-    statistic:add_frame(source, stamps:even(pinfo.rel_ts), tvb:raw(), is_yapp)
+  add_tap(self, "can.id" .. passes, function(pinfo, tvb)
+    local number, time = pinfo.number, stamps:even(pinfo.rel_ts)
+    local source = source_of_bus(self, number, pinfo)
+    statistic:add_frame(source, time, raw_of(tvb), frames.number == number)
   end)
 end
 
@@ -171,9 +164,9 @@ local function open(self)
   self.frames:begin_count()
   self.watch()
   self.wants.has_statistic = true
+  self.refused = { count = 0 } -- frames that this Wireshark refuses, as of Capture:drops
+  self.bus_sources = memo(function(bus) return { bus = self.capture:name(bus or nil) } end)
   tap_packets(self)
-  tap_bus_errors(self)
-  tap_refused(self)
 end
 
 local function close(self)
@@ -230,33 +223,24 @@ end
 
 -- The terminal --------------------------------------------------------------------------------
 
--- Return the width and height of the terminal; a serial console reports 0.
-local function terminal_size()
-  local stty = io.popen("stty size 2>/dev/null </dev/tty")
-  local height, width = stty:read("*a"):match("([1-9]%d*) ([1-9]%d*)")
-  stty:close()
-  return tonumber(width) or DEFAULT_WIDTH, tonumber(height) or DEFAULT_HEIGHT
-end
-
 -- Let a live statistic draw in the terminal, if there is one, and end the run.
 local function add_terminal(self, options, context)
   options.json = options.json or not (HAS_SHELL and os.execute("test -t 1"))
-  context.terminal = {
-    size = terminal_size,
-    -- tshark's own packet list scrolls.
-    in_place = function()
-      local wants = self.wants.first_pass
-      return not (wants and wants.columns)
-    end,
-  }
+  function context.terminal()
+    local stty, wants = io.popen("stty size 2>/dev/null </dev/tty"), self.wants.first_pass
+    local height, width = stty:read("*a"):match("([1-9]%d*) ([1-9]%d*)") -- "0 0" if not known
+    stty:close()
+    local has_list = wants and wants.columns -- tshark's own, which scrolls
+    return tonumber(width) or DEFAULT_WIDTH, tonumber(height) or DEFAULT_HEIGHT, has_list
+  end
   function context.flush() return io.stdout:flush() end
   -- SIGINT ends a capture, and its file is whole.  While a file is read, SIGINT ends tshark without
   -- an answer.  os.execute ignores SIGINT, io.popen does not.
   function context.stop()
-    if HAS_SHELL and self.capture.found.is_live then
+    if HAS_SHELL and (self.options.i or self.capture.found.is_live) then
       io.popen("kill -INT $PPID"):close()
     else
-      self:conclude()
+      self.is_over = true
     end
   end
 end
@@ -303,7 +287,6 @@ function Stat:run(text)
     return select(2, finish(self))
   end)
   close(self)
-  self.unwatch()
   self.is_reading = false
   local answer = table.concat(said)
   for _, problem in ipairs(ok and texts or { tostring(texts) }) do
@@ -371,10 +354,7 @@ function Stat:register_menus()
   function tap.packet(pinfo)
     self.total = math.max(self.total, pinfo.number)
   end
-  function tap.draw()
-    on_packets()
-    self.unwatch()
-  end
+  tap.draw = on_packets
 end
 
 return M

@@ -7,7 +7,6 @@
 
 local buses = require "yapp.stat.buses"
 local check = require "yapp.stat.check"
-local groups = require "yapp.stat.groups"
 local judge = require "yapp.stat.judge"
 local kinds = require "yapp.stat.kinds"
 local lists = require "yapp.stat.lists"
@@ -18,6 +17,9 @@ local M = {}
 
 local LAST_WIDE = "[\192-\255][\128-\191]*$" -- a last character beyond ASCII, maybe cut
 local CLEAR, RED, NORMAL = "\27[H\27[J", "\27[31m", "\27[m"
+local WIDE = 120 -- columns of a terminal that has room for all of the table
+local TITLE, PAUSE = "YAPP watch: %s in %.1f s", ", no packet for %d s before that"
+local MORE = "... %d more lines: make the window higher"
 local HAS_COLOR = (os.getenv("NO_COLOR") or "") == ""
 
 --- The columns, see output.columns.
@@ -31,12 +33,12 @@ M.COLUMNS = output.columns({
   { "rules", "list", "the keys of `check`" },
   { "buses", "list", "the keys of `buses`" },
 }, "")
--- The table: a line for each source; the values at last, as the terminal may cut them.
+-- The table: a line for each source, which the terminal may cut.
 local TABLE = output.columns({
   { "hz", title = "Hz" },
   { "age", title = "age/s" },
   { "limit", title = "nearest limit" },
-}, "who message count hz age faults limit values")
+}, "who message count hz age faults limit values", "who count hz age faults values limit")
 local SOURCE_KEYS = table.concat(summary.COLUMNS.json, " ") ..
   " hz age faults latest_fault latest_fault_time"
 
@@ -45,8 +47,9 @@ Watch.__index = Watch
 
 --- Make the statistic.
 -- options  { rules = of check; stop = "fault", "rule" or nil; bitrate = see stat.buses }
--- context  { terminal = { size, in_place } or nil; stop = function(), ends the run; the
---          rest for output.print, see stat.answer }
+-- context  { terminal = function() -> its width, its height, true if a packet list scrolls there;
+--          flush = function() -> nil if the output is closed; stop = function(), ends the run;
+--          the rest for output.print, see stat.answer }
 function M.new(options, context)
   return setmetatable({
     options = options,
@@ -55,8 +58,8 @@ function M.new(options, context)
     summary = summary.new(options, context),
     faults = lists.new({ what = "faults" }, context),
     buses = buses.new(options, context),
-    raised = {}, -- by source: event of the latest fault that was raised; of a message the first
-    before = {}, -- by source: { count, at = of the latest message } at the latest tick
+    raised = {}, -- by source: event of the latest fault that was raised
+    before = {}, -- by source at the latest tick with a message of it: { count, at = its time, hz }
     must_stop = false, -- true if the next packet ends the run
     code = nil, -- the exit code, if `stop` ended it
     is_over = false, -- true if it ends
@@ -71,21 +74,23 @@ function Watch:add_event(event)
   self.faults:add_event(event)
   self.buses:add_event(event)
   if event.kind == "fault" and event.values.event == "raised" then
-    local latest = self.raised[event.source]
-    if not (latest and latest.frame == event.frame) then self.raised[event.source] = event end
+    self.raised[event.source] = event
     self.must_stop = self.options.stop == "fault"
   end
 end
 
 -- The state of a source ---------------------------------------------------------------------------
 
--- Return the rate since the latest tick: by the stamps of messages, as packets come in heaps.
-local function rate_of(self, group)
-  local count, at, before = group.count, group.last.at, self.before[group.source]
-  self.before[group.source] = { count = count, at = at }
-  if not before then return groups.rate(group) end
+-- Return the rate since the latest tick: by the stamps of messages, as packets come in heaps.  It
+-- lasts for two periods, as a message of 1 Hz need not come between two ticks.
+local function rate_of(self, group, age)
+  local count, at = group.count, group.last.at
+  local before = self.before[group.source] or { count = 1, at = at - group.length, hz = 0 }
+  if count == before.count then return age * before.hz < 2 and before.hz or 0 end
   local length = kinds.span(before.at, at)
-  return length > 0 and (count - before.count) / length or 0
+  local hz = length > 0 and (count - before.count) / length or 0
+  self.before[group.source] = { count = count, at = at, hz = hz }
+  return hz
 end
 
 -- Add the faults that are set to a row, and the latest one; people read this if none is set.
@@ -118,9 +123,9 @@ local function row_of(self, group, ending)
   local row, last, message_type = summary.row(group, ending), group.last, group.type
   local age, every = ending.length_since(last), message_type and message_type.every
   local is_silent = every and age > self.context.settings.late * every
-  local hz = rate_of(self, group)
+  local hz = rate_of(self, group, age)
   row.values.text = last.raws and message_type.info(last.raws)
-  row.hz = hz and { value = tonumber(("%.4g"):format(hz)), text = ("%.1f"):format(hz) }
+  row.hz = { value = tonumber(("%.4g"):format(hz)), text = ("%.1f"):format(hz) }
   row.age = output.seconds(age)
   row.age.text = row.age.short .. (is_silent and " SILENT" or "")
   local has_faults, is_outside = add_faults(self, row, group), add_limit(self, row, group)
@@ -130,7 +135,7 @@ end
 
 local function rows_of(self, ending)
   local rows = {}
-  for _, group in ipairs(self.summary:sort()) do
+  for _, group in ipairs(self.summary.list) do
     if group.last then rows[#rows + 1] = row_of(self, group, ending) end
   end
   output.sort(rows, function(row) return output.sortable(row.who) end)
@@ -139,45 +144,24 @@ end
 
 -- Output ------------------------------------------------------------------------------------------
 
-local function print_json(self, rows, rules, bus_rows, ending)
-  self.context.out(output.object(M.COLUMNS.json, {
-    time = ending.last and self.context.dates:value(ending.last),
-    sources = output.objects(SOURCE_KEYS, rows),
-    rules = output.objects(check.COLUMNS.json, rules),
-    buses = output.objects(buses.COLUMNS.json, bus_rows),
-  }).json .. "\n")
-end
-
--- Print the tables in as many lines and columns as the terminal has; a row is red where something
--- is wrong.
-local function print_tables(self, rows, failed, bus_rows, ending, pause)
-  local terminal, lines = self.context.terminal, {}
-  local width, height = terminal.size()
-  local function add_line(text, is_red)
-    local line = #text > width and text:sub(1, width):gsub(LAST_WIDE, "") or text
-    lines[#lines + 1] = is_red and HAS_COLOR and RED .. line .. NORMAL or line
-  end
-  local function add_table(columns, list)
-    local index = 0 -- of the row; 0 is the heading
+-- Print the tables in as many lines and columns as the terminal has.
+-- tables  a list of { columns, rows }; a row that is_red is red
+local function print_tables(self, title, tables)
+  local lines, width, height, has_list = { title }, self.context.terminal()
+  for _, one in ipairs(tables) do
+    local columns, rows, heading = one[1], one[2], #lines
     local function out(text)
-      local row = list[index]
-      add_line(text:gsub("\n$", ""), row and (row.is_red or row.ok))
-      index = index + 1
+      local row, line = rows[#lines - heading], text:sub(1, width)
+      line = line:gsub(LAST_WIDE, ""):gsub("\n", "")
+      lines[#lines + 1] = HAS_COLOR and row and row.is_red and RED .. line .. NORMAL or line
     end
-    if list[1] then output.table({ out = out }, columns, list) end
+    local shown = width < WIDE and columns.window or columns.text
+    if rows[1] then output.table({ out = out }, { text = shown }, rows) end
   end
-  local title = ("YAPP watch: %s in %.1f s"):format(output.count(#rows, "source"), ending.last or 0)
-  if pause > 1 then title = title .. (", no packet for %d s before that"):format(pause) end
-  add_line(title)
-  add_table(TABLE, rows)
-  add_table(check.COLUMNS, failed)
-  add_table(buses.COLUMNS, bus_rows)
-  local more = #lines - height + 2
-  if more > 1 then
-    for _ = 1, more do table.remove(lines) end
-    add_line(("... %d more lines: make the window higher"):format(more))
-  end
-  self.context.out((terminal.in_place() and CLEAR or "") .. table.concat(lines, "\n") .. "\n")
+  local last = height - 1 -- the cursor is below it
+  if #lines > last then lines[last] = MORE:format(#lines - last + 1) end
+  local text = table.concat(lines, "\n", 1, math.min(#lines, last))
+  self.context.out((has_list and "" or CLEAR) .. text .. "\n")
 end
 
 -- Print how things stand; return whether a rule failed that no more packets can mend.
@@ -186,15 +170,25 @@ local function print_state(self, ending, pause)
   local rows, bus_rows = rows_of(self, ending), self.buses:rows(ending)
   local rules, failed, has_failed = self.check:judge(ending), {}, false
   for _, row in ipairs(rules) do
-    if row.ok == check.FAILED then
-      failed[#failed + 1] = row
-      has_failed = has_failed or row.is_final
-    end
+    row.is_red = row.ok == check.FAILED
+    if row.is_red then failed[#failed + 1] = row end
+    has_failed = has_failed or row.is_final
   end
   if self.context.json then
-    print_json(self, rows, rules, bus_rows, ending)
+    self.context.out(output.object(M.COLUMNS.json, {
+      time = ending.last and self.context.dates:value(ending.last),
+      sources = output.objects(SOURCE_KEYS, rows),
+      rules = output.objects(check.COLUMNS.json, rules),
+      buses = output.objects(buses.COLUMNS.json, bus_rows),
+    }).json .. "\n")
   else
-    print_tables(self, rows, failed, bus_rows, ending, pause)
+    local title = TITLE:format(output.count(#rows, "source"), ending.last or 0)
+    if pause > 1 then title = title .. PAUSE:format(pause) end
+    print_tables(self, title, {
+      { TABLE, rows },
+      { check.COLUMNS, failed },
+      { buses.COLUMNS, bus_rows },
+    })
   end
   return has_failed
 end
