@@ -28,6 +28,9 @@ def test_nobody_else_is_accused(tmp_path, seed, kinds):
     if "overcurrent" in truth:  # the card says the same of the current before the fault
         before = re.search(r"from (\d\.\d{3}) s before", lines[truth["overcurrent"][0]])[1]
         assert re.search(rf"(?m)^-{before} .* dc_current ", page), before
+    (cloud,) = json.loads(re.search(r'id="data">(.*?)</script>', page)[1])["clouds"]
+    odd = [truth["load"][0]] if "load" in truth else []
+    assert re.findall(r"(\w+) \(can\d\), [\d.]+ beside [\d.]+ A", cloud["said"]) == odd, cloud["said"]
     verdict = re.sub("<.*?>", "", re.search(r'<p id="verdict">(.*?)</p>', page)[1])
     if not truth:
         assert verdict.startswith("GOOD: no fault, reboot, silence or odd controller"), verdict

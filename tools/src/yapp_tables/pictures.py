@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from .differs import Found, Limits, Windows, beyond, calm_samples, differing, flying, middle_of, sagging
+from .differs import Found, Limits, Windows, beyond, calm_samples, differing, flying, sagging
 from .series import DEGREES, Array, thin
 from .tshark import Record
 
@@ -15,9 +15,6 @@ from .tshark import Record
 SAMPLES = 12_000
 CLOUD = 500  # points of one source, and of its largest values
 CLOUD_ENDS = 20
-BINS = 40  # of speeds, in which currents are compared
-ODD, APART = 0.5, 0.1  # of the others' current at the same speed, that a point is away, and of the largest
-ODD_SHARE = 0.1  # of the points of a source: with fewer it is not called odd
 COLOURS, IDS_OF_A_BUS = 16, 8
 
 
@@ -124,54 +121,35 @@ class Pictures:
             figure["odd"] = sorted({self.sources[one.number]["controller"] for one in found if one.name in odd})
 
     def _cloud(self, found: Found) -> None:
-        """Current over speed, a cloud a source; what is odd at its speed is marked."""
+        """Current over speed, a cloud a source; it says whose level is odd, and how odd."""
         lead, pair, speeds = found[0], found[0].supply(), found[0].speed()
         if not pair or not speeds:
             return
-        usual = _usual(found, speeds[0], pair[1])
-        largest = max(np.nanmax(np.abs(one.columns[pair[1]]), initial=0.0) for one in found)
-        said, title, lines = [], f"{lead.title_of(pair[1])} over {lead.title_of(speeds[0])}", []
-        for one, beside in zip(found, usual, strict=True):
+        title, lines, odd, said = f"{lead.title_of(pair[1])} over {lead.title_of(speeds[0])}", [], [], []
+        for one in found:
             across, up = one.columns[speeds[0]], one.columns[pair[1]]
-            is_odd = one.calm & (np.abs(up - beside) > np.maximum(ODD * np.abs(beside), APART * largest))
             good = np.flatnonzero(np.isfinite(across) & np.isfinite(up))
             if len(good):
                 order = good[np.argsort(up[good])]
-                ends = np.concatenate([order[:CLOUD_ENDS], order[-CLOUD_ENDS:], good[is_odd[good]][: CLOUD // 2]])
+                ends = np.concatenate([order[:CLOUD_ENDS], order[-CLOUD_ENDS:]])
                 kept = np.unique(np.concatenate([good[:: -(-len(good) // CLOUD)], ends]))
                 points = {"x": self._keep(across[kept], "<f4"), "y": self._keep(up[kept], "<f4")}
-                odd = np.flatnonzero(is_odd[kept]).tolist()
-                lines.append({"source": one.number, "name": title, "odd": odd} | points)
-            if is_odd.mean() > ODD_SHARE:
-                label, times = self.sources[one.number]["label"], np.nanmedian(up[is_odd] / beside[is_odd])
-                said.append(f"{label} in {is_odd.mean():.0%} of its points, {times:.2f} times the others'")
+                lines.append({"source": one.number, "name": title} | points)
+        sources = {source["name"]: source for source in self.sources}
+        for row in (row for row in self.differs if row["kind"] == "level" and row["field"] == pair[1]):
+            odd.append(sources[row["source"]]["controller"])
+            said.append(
+                f"{sources[row['source']]['label']}, {row['value']:.1f} beside {row['beside']:.1f} {row['unit']}"
+            )
         about = {"title": title, "message": lead.title, "key": "", "lines": lines, "unit": lead.unit_of(pair[1])}
-        self.clouds.append(about | {"across": f"{lead.title_of(speeds[0])}, {lead.unit_of(speeds[0])}", "odd": said})
+        about |= {"across": f"{lead.title_of(speeds[0])}, {lead.unit_of(speeds[0])}"}
+        self.clouds.append(about | {"odd": odd, "said": "; ".join(said)})
 
     def _keep(self, values: Array, kind: str) -> Record:
         """Keep samples, all first bytes, then all second ones: so they pack well."""
         data = np.frombuffer(values.astype(kind).tobytes(), np.uint8).reshape(-1, 4).T.tobytes()
         self.bytes += data
         return {"at": len(self.bytes) - len(data), "count": len(values)}
-
-
-def _usual(found: Found, speed: str, current: str) -> list[Array]:
-    """Return for each sample the median of what two or more others have at the same speed, [(n)]; NaN where none."""
-    speeds = [one.columns[speed] for one in found]
-    whole = np.concatenate(speeds)
-    edges = np.linspace(np.nanmin(whole), np.nanmax(whole), BINS + 1)[1:-1]
-    bins = [np.searchsorted(edges, own) for own in speeds]
-    grid = np.full((len(found), len(edges) + 1), np.nan)
-    for row, one, own in zip(grid, found, bins, strict=True):
-        up = np.where(one.calm, one.columns[current], np.nan)
-        for at in np.unique(own[np.isfinite(up)]):
-            row[at] = np.nanmedian(up[own == at])
-    usual = []
-    for number, own in enumerate(bins):
-        others = np.delete(grid, number, axis=0)
-        known = np.isfinite(others).sum(axis=0) > 1
-        usual.append(np.where(known, middle_of(others), np.nan)[own])
-    return usual
 
 
 def packed(data: bytes) -> str:

@@ -232,16 +232,15 @@
       { hovermode: "x unified", shapes: [...faulty(), ...bands(about.limits, span)], annotations: limitTexts(about, span) })];
   }
 
-  // One value over another, a cloud a source; odd points stand out.
+  // One value over another, a cloud a source; who is odd lies on top.
   function cloud(about) {
-    const ink = getComputedStyle(document.body).color;
-    const traces = about.lines.map((line) => {
-      const { times: x, values: y } = samples(line), odd = new Set(line.odd), each = (isOdd, not) => Array.from(y, (_, i) => odd.has(i) ? isOdd : not);
-      return { type: "scatter", mode: "markers", name: data.sources[line.source].label, x, y, visible: !isHidden(line.source),
-        marker: { color: colour(line.source), opacity: each(1, 0.35), size: each(8, 4), symbol: each("diamond", "circle"), line: { color: ink, width: each(1, 0) } },
-        hovertemplate: `%{y:.5~g} ${about.unit} at %{x:.5~g}<extra>${data.sources[line.source].label}</extra>` };
+    const isOdd = (source) => about.odd.includes(data.sources[source].controller);
+    const traces = about.lines.toSorted((p, q) => isOdd(p.source) - isOdd(q.source)).map((line) => {
+      const { times: x, values: y, source } = samples(line), { label } = data.sources[source];
+      return { type: "scatter", mode: "markers", name: label, x, y, visible: !isHidden(source),
+        marker: { color: colour(source), opacity: isOdd(source) ? 1 : PALE, size: isOdd(source) ? 6 : 4 },
+        hovertemplate: `%{y:.5~g} ${about.unit} at %{x:.5~g}<extra>${label}</extra>` };
     });
-    traces.sort((p, q) => p.marker.size.includes(8) - q.marker.size.includes(8));
     return [traces, layout(CLOUD, { title: { text: about.across } }, { nticks: 8 }, { hovermode: "closest", margin: { l: 46, r: 12, t: BAR, b: 44 } })];
   }
 
@@ -364,8 +363,7 @@
     if (data.lanes.length) picture(box, [make("b", { className: "bad", textContent: "Faults and events" })], height(data.lanes), "wrong", true, () => lanes(data.lanes));
     for (const about of data.figures) picture(box, head(about), HEIGHT, about.key, true, (isRough) => lines(about, isRough));
     for (const about of data.clouds) {
-      const odd = about.odd.join("; ");
-      picture(byId("clouds"), [...head(about), ...odd ? [make("b", { className: "bad", textContent: `odd: ${odd}` })] : []], CLOUD, about.title, false, () => cloud(about));
+      picture(byId("clouds"), [...head(about), ...about.said ? [make("b", { className: "bad", textContent: `odd: ${about.said}` })] : []], CLOUD, about.title, false, () => cloud(about));
     }
     byId("job").hidden = !data.clouds.length;
   }
