@@ -322,7 +322,7 @@ end
 file_readers.register {
   new_framer = function()
     make_reading()
-    return reading:new_framer(true)
+    return reading:new_framer()
   end,
   time_of = function(bytes)
     local id, size = frame.parse(bytes, 1)

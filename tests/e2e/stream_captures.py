@@ -218,12 +218,13 @@ class Oracle:
         for start, end, is_good in sorted([*self.whole, *((start, end, False) for start, end in self.open)]):
             if start < at or start + HEADER > came or start in self.dropped:
                 continue
-            if end > came and not ended:
+            if end > came:
                 patience = {"known": 65551, "unknown": PATIENCE, "": NOISE_PATIENCE}[self.belief[start]]
-                if end - start <= patience:
+                if end - start > patience:
+                    self.dropped.add(start)
+                elif not ended:
                     break
-                self.dropped.add(start)
-            elif is_good and end <= came:
+            elif is_good:
                 taken.append((start, end))
                 at = end
         return taken

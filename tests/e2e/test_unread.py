@@ -2,10 +2,12 @@
 """Where not all was read, or the plugin itself failed, no statistic says that all is well."""
 import random
 import shutil
+import struct
 import subprocess
 
 import pytest
 
+import capture_file
 import model
 import tshark
 
@@ -111,8 +113,9 @@ PACKETS = 408
 
 
 @pytest.mark.parametrize("options, code, said", [
-    (["-c", "100"], 21, "as -c stopped there"), (["-c408"], 20, ""), (["-M", "408"], 20, ""),
-    (["-2", "-R", "can", "-c", "300"], 20, "as -c stopped there"), (["-2", "-R", "can", "-c", "500"], 20, ""),
+    (["-c", "100"], 21, "ended the reading"), (["-c408"], 20, ""), (["-M", "408"], 20, ""),
+    (["-2", "-R", "can", "-c", "300"], 20, "ended the reading"), (["-2", "-R", "can", "-c", "500"], 20, ""),
+    (["-a", "packets:136"], 21, "ended the reading"), (["-z", "yapp,watch,stop=fault"], 20, "ended the reading"),
     (["-M", "139"], 21, f"only 139 of {PACKETS} packets were read, as tshark -M forgets"), (["-M", "300"], 20, "as tshark -M forgets")])
 def test_a_count_of_packets(options, code, said):
     done = tshark.run(*options, "-r", RESET, "-q", "-z", "yapp,check,fault=0", check=False)
@@ -125,7 +128,17 @@ def test_a_count_of_packets_behind_a_read_filter():
     for more, code in ([], 0), (["-c", "90000"], 21):
         done = tshark.run("-2", "-R", "can", *more, "-r", tshark.CAPTURES / "can/command.pcap", "-q", "-z", "yapp,check,crc=0",
                           check=False)
-        assert (done.returncode, "as -c stopped there" in done.stderr) == (code, code != 0), done.stderr
+        assert (done.returncode, "ended the reading" in done.stderr) == (code, code != 0), done.stderr
+
+
+def test_a_file_that_begins_with_others(folder):
+    """For a statistic all of it is read, as its end says what was lost; and its packets are counted."""
+    path, loss = folder / "run.pcapng", capture_file.option(5, struct.pack("<Q", 7))
+    packets = [capture_file.packet(at, bytes(1000)) for at in range(100)] + [capture_file.block(5, bytes(12) + loss)]
+    path.write_bytes(capture_file.section(capture_file.interface(1)) + b"".join(packets))
+    for more, is_said in ([], False), (["-c", "90"], True):
+        done = tshark.run(*more, "-r", path, "-q", "-z", "yapp,check,dropped=6", check=False)
+        assert (done.returncode, "ended the reading" in done.stderr) == (20, is_said), done.stderr
 
 
 # Files that end early ----------------------------------------------------------------------------------------------------

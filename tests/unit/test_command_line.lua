@@ -17,8 +17,8 @@ function T.test_a_display_filter_however_it_is_written()
     { "-VxY", "yapp" } } do
     lu.assertEquals(options(unpack(words)).Y, "yapp")
   end
-  lu.assertEquals(options("--display-filter=yapp")["display-filter"], "yapp")
-  lu.assertEquals(options("--display-filter", "yapp")["display-filter"], "")
+  lu.assertEquals(options("--display-filter=yapp"), { Y = "yapp" })
+  lu.assertEquals(options("--read-file", "-Y", "--color"), { r = "-Y", color = "" })
 end
 
 function T.test_a_value_is_no_option()

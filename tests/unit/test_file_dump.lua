@@ -10,7 +10,7 @@ local stream_generator = require("stream_generator")
 
 local frame = stream_generator.frame
 
-local function new_framer() return framer.new(function() return nil end, true) end
+local function new_framer() return framer.new(function() return nil end) end
 
 -- ID 1 has a time stamp: its first byte, in seconds.
 local function time_of(bytes)

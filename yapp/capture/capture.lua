@@ -27,8 +27,7 @@ Capture.__index = Capture
 
 -- The path of the file that tshark reads, "" where the system does not tell it.
 local function path_of_file()
-  local options = command_line.options()
-  return options.r or options["read-file"] or ""
+  return command_line.options().r or ""
 end
 
 -- Return whether more than the first bytes may be read: Wireshark rewinds a file, a pipe no further
@@ -54,7 +53,7 @@ local function read_file(file)
     local bytes, problem = file:read(count)
     why = why or problem
     return bytes
-  end)
+  end, command_line.options().z ~= nil) -- a statistic asks for drops and numbers
   file:seek("set", 0)
   local is_long_pipe = not (is_short or may_read)
   found.is_cut = not is_long_pipe and ending.is_cut(file)

@@ -6,6 +6,11 @@ local M = {}
 
 local HAS_VALUE = {} -- the letters of tshark 4.0 to 4.6 that a value follows
 for letter in ("aAbBcCdeEfFHijJkKmMNoOrRsStTuUwWXyYz"):gmatch(".") do HAS_VALUE[letter] = true end
+-- The letters of long names.
+local LETTERS = {
+  autostop = "a", ["ring-buffer"] = "b", ["read-file"] = "r", ["read-filter"] = "R",
+  ["display-filter"] = "Y",
+}
 
 -- Parse the letters of a word such as -qYyapp.
 -- returns  the letter whose value is the next word; nil if the word is complete
@@ -18,7 +23,8 @@ local function parse_letters(found, letters)
   end
 end
 
---- Return the options of a command line: their values by letter or long name, "" for none.
+--- Return the options of a command line: their values by letter, or by a long name that has no
+-- letter here; "" for none.
 -- text  the words, each with a zero byte behind it, as /proc/self/cmdline has them; the first is
 --       the program
 function M.parse(text)
@@ -30,7 +36,9 @@ function M.parse(text)
     elseif open then
       found[open], open = word, nil
     elseif name then
-      found[name] = value
+      local letter = LETTERS[name]
+      found[letter or name] = value
+      open = value == "" and letter or nil
     elseif word:find("^%-.") then
       open = parse_letters(found, word:sub(2))
     end

@@ -34,25 +34,21 @@ function PARTS.LOGG(file)
   number(file, 1)
 end
 
-local CONTENT_SIZES, DICTIONARY_SIZES = { [0] = 0, 2, 4, 8 }, { [0] = 0, 1, 2, 4 }
+local CONTENT_SIZES = { [0] = 0, 2, 4, 8 }
 
--- A frame of zstd: the last of its blocks is marked.
+-- A frame of zstd, without a dictionary: the last of its blocks is marked.
 PARTS["\40\181\47\253"] = function(file)
   local descriptor = number(file, 1)
   local is_single, has_sum = descriptor % 64 >= 32, descriptor % 8 >= 4
   local content_size = CONTENT_SIZES[math.floor(descriptor / 64)]
   if is_single then content_size = math.max(content_size, 1) end
-  skip(file, (is_single and 0 or 1) + DICTIONARY_SIZES[descriptor % 4] + content_size)
+  skip(file, (is_single and 0 or 1) + content_size)
   repeat
     local block = number(file, 3)
     local is_repeated_byte = math.floor(block / 2) % 4 == 1
     skip(file, is_repeated_byte and 1 or math.floor(block / 8))
   until block % 2 == 1
   skip(file, has_sum and 4 or 0)
-end
-
-for kind = 0x50, 0x5F do -- frames without data, as pzstd writes them
-  PARTS[string.char(kind) .. "\42\77\24"] = function(file) skip(file, number(file, 4)) end
 end
 
 -- A frame of lz4: behind its blocks is a size of 0.

@@ -364,12 +364,14 @@ local FORMATS = {
 
 -- The facts of a file -----------------------------------------------------------------------------
 
---- Read the buses of a file.  Of a file without YAPP only the first bytes are read.
+--- Read the buses of a file.  Of a file without YAPP only the first bytes are read, unless a
+-- statistic asks.
 -- head  its first bytes, M.HEAD at most
 -- more  function(skip, count) -> the next bytes behind so many that are skipped, at most `count`;
 --       nil at the end, and where a pipe must be left alone
+-- reads_all  true to read a file without YAPP, too
 -- returns a file, whose fields from `has_several` on others read
-function M.read(head, more)
+function M.read(head, more, reads_all)
   local magic, has_frame = sub(head, 1, 4), has_header(head)
   local format = FORMATS[magic]
   local self = setmetatable({
@@ -406,7 +408,7 @@ function M.read(head, more)
   }, File)
   local window = setmetatable({ text = head, start = 0, stop = #head, is_little = true }, Window)
   function window.more(skip, count)
-    if self.yapp_interfaces > 0 or has_frame then return more(skip, count) end
+    if self.yapp_interfaces > 0 or has_frame or reads_all then return more(skip, count) end
     self.is_unknown = #head >= M.HEAD
   end
   local has_packets = format and format[1](self, window, format[2], format[3])

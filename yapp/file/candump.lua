@@ -29,8 +29,6 @@ local function set_time(record, stamp)
   local whole, fraction = match(stamp, "^(%d[%d%-: ]*)%.(%d+)$")
   local seconds = whole and parse_seconds(whole)
   if not seconds then return false end
-  -- Old versions of asc2log write "1.1000000" for two seconds.
-  if fraction == "1000000" then seconds, fraction = seconds + 1, "0" end
   record.stamp, record.seconds = stamp, seconds
   record.nanoseconds = tonumber((fraction .. "00000000"):sub(1, 9))
   return true
@@ -122,7 +120,6 @@ local KNOWN = {
 
 -- A file ------------------------------------------------------------------------------------------
 
-local MAX_DROPPED = 0xFFFFFFFF -- candump counts them in 32 bits
 local NO_BUS = { [""] = true, any = true }
 
 -- Note the packets that candump lost, and the time of a frame.
@@ -131,7 +128,7 @@ local function note(log, line, record, offset)
   if count then
     log:quote(line, "candump lost frames")
     log.drops[#log.drops + 1] = {
-      count = math.min(tonumber(count), MAX_DROPPED),
+      count = tonumber(count),
       bus = not NO_BUS[bus] and utf8.printable(bus) or nil,
     }
   elseif record and log.has_deltas and record.seconds then

@@ -218,9 +218,8 @@ end
 -- Streams -----------------------------------------------------------------------------------------
 
 --- Make a framer for bytes of a capture.
--- is_patient  of serial.framer
-function Reading:new_framer(is_patient)
-  return framer.new(function(id) return self.types:size_of(id) end, is_patient)
+function Reading:new_framer()
+  return framer.new(function(id) return self.types:size_of(id) end)
 end
 
 -- Begin the result of a transfer in a packet.

@@ -41,14 +41,12 @@ local Framer = {}
 Framer.__index = Framer
 
 --- Make the framer of a stream.
--- size_of     function(id) -> payload size of the catalogue's message, nil for an unknown ID; and
---             its smallest size, nil if that is the same
--- is_patient  true if the stream waits for each candidate
+-- size_of  function(id) -> payload size of the catalogue's message, nil for an unknown ID; and
+--          its smallest size, nil if that is the same
 -- Document: "UART Stream Framing".
-function M.new(size_of, is_patient)
+function M.new(size_of)
   return setmetatable({
     size_of = size_of,
-    is_patient = is_patient,
     text = "",     -- the latest bytes
     text_from = 0, -- their offset in the stream
     to = 0,        -- the end of the stream so far
@@ -81,9 +79,9 @@ local function candidate_at(self, index)
 end
 
 -- Return whether the stream waits for the end of a candidate.
-local function may_wait(self, candidate)
+local function may_wait(candidate)
   local patience = candidate.is_plausible and PATIENCE or NOISE_PATIENCE
-  return self.is_patient or candidate.is_known or candidate.to - candidate.from <= patience
+  return candidate.is_known or candidate.to - candidate.from <= patience
 end
 
 -- Return whether the CRC of a candidate is good; all its bytes have come.
@@ -175,12 +173,12 @@ local function judge(self, candidate, index, is_end)
     self.searched = candidate.to
     return false
   end
-  local is_final = has_come or is_end
-  if not is_final and may_wait(self, candidate) then
+  local may_count = has_come or may_wait(candidate)
+  if may_count and not (has_come or is_end) then
     self.open = candidate
     return true
   end
-  if is_final and candidate.is_plausible then table.insert(self.failed, candidate) end
+  if may_count and candidate.is_plausible then table.insert(self.failed, candidate) end
   self.searched = candidate.from + #frame.SYNC
   return false
 end

@@ -22,14 +22,15 @@ local HAS_SHELL = package.config:sub(1, 1) == "/"
 local DEFAULT_WIDTH, DEFAULT_HEIGHT = 80, 24 -- of a terminal
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
 local MAY_GO_ON = not (IS_TSHARK or yapp_is_whole) -- a live capture; a page opens whole ones
-local HINT = "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
+local HINT = "-Y does not narrow a statistic, and -R may remove parts of messages: " ..
+  "use filter=EXPRESSION as its last option"
 local FAILED = "the plugin failed, so the answer is incomplete: %s, see the filter _ws.lua.error"
 local UNREAD = "only %d of %d packets were read, as the reading was stopped, or another window " ..
   "read: press Refresh"
 local GOES_ON = "only %s were read: of a live capture with -b tshark analyses the first file: " ..
   "read each file with tshark -r"
 local RESET = "only %d of %d packets were read, as tshark -M forgets what came before: leave it out"
-local STOPPED = "only %s were read, as -c stopped there: leave it out"
+local STOPPED = "only %s were read, as -c, -a or stop= ended the reading"
 local CUT = "the file ends early, so what came last is missing: its recorder did not close it"
 local REFUSED = "this Wireshark does not dissect %s, as CAN FD without its flag FDF: use 4.4"
 -- COMPAT 4.6: earlier versions dissect CAN FD without its flag.
@@ -157,7 +158,7 @@ end
 
 local function open(self)
   local options = command.options()
-  local hint = (options.Y or options["display-filter"]) and HINT or nil
+  local hint = (options.Y or options.R) and HINT or nil
   self.options, self.taps = options, {}
   self.current = run_of.new(self.settings, self.capture.stamps, hint)
   self.reading:listen(self.current)
@@ -174,11 +175,12 @@ local function close(self)
   self.reading:listen(false)
 end
 
--- Return whether -c may have stopped the reading of a file.
+-- Return whether -c or -a may have stopped the reading of a file.
 local function is_stopped(self, packets)
   local options, in_file = self.options, self.capture.found.count
-  local limit = options.r and tonumber(options.c)
-  if not limit or in_file > 0 then return limit and in_file > limit end
+  local limit = tonumber(options.c) or options.a and 0
+  if not (options.r and limit) then return false end
+  if in_file >= packets then return in_file > limit end -- else only its begin was looked at
   return packets >= limit or options.R ~= nil -- a read filter leaves out some
 end
 
@@ -187,9 +189,9 @@ local function explain_unread(self)
   local packets, unread, options = self.current.packets, self.current.unread, self.options
   if packets < self.total then return UNREAD:format(packets, self.total) end -- in Wireshark
   local count = output.count(packets, "packet")
-  if options.b or options["ring-buffer"] then return GOES_ON:format(count) end
+  if options.b then return GOES_ON:format(count) end
   if unread > 0 then return RESET:format(packets, packets + unread) end
-  if is_stopped(self, packets) then return STOPPED:format(count) end
+  if self.is_over or is_stopped(self, packets) then return STOPPED:format(count) end
   return self.capture:is_cut() and CUT or nil
 end
 
