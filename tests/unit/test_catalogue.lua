@@ -43,6 +43,8 @@ function T.test_what_is_wrong_with_a_message_is_said()
     { { [1] = { "f", "uint8", "F", values = { [0] = 1 } } }, "message m, field f: values are { [number] = text }" },
     { { [1] = { "f", "uint8", "F", group = "g", flags = { { "a", 0, "A" } } } }, "message m, field f: a: bit 0x0 is" },
     { { [1] = { "f", "uint8", "F", scale = 0 } }, "message m, field f: scale is 0" },
+    { { [1] = { "f", "uint8", "F", scale = 2, values = { "a" } } }, "field f: an integer has one of values, flags and scale;" },
+    { { [1] = { "f", "float8", "F", min = 1, max = 2, values = { "a" } } }, "field f: an integer has one of" },
     { { [1] = { "f", "uint8", "F", unit = 5 } }, "message m, field f: unit is 5, not a string" },
     { { [1] = { "f", "float8", "F", min = 2, max = 1 } }, "message m, field f: min and max are missing, or no range" },
     { { [1] = { "f", "float8", "F", max = 1 } }, "message m, field f: min and max are missing, or no range" },

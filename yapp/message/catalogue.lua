@@ -139,8 +139,17 @@ local function add_range(field, row)
   field.number = field_kinds.new_float(field)
 end
 
+-- Raise that the options of a row give its field two meanings, or one that its type cannot have.
+local function check_meaning(field, row)
+  local is_coded, is_scaled = row.values or row.flags, row.scale or row.offset
+  local has_two = is_coded and is_scaled or row.values and row.flags
+  demand(not has_two and (field.kind:find "int" or not is_coded and not is_scaled),
+    "an integer has one of values, flags and scale; other types have none")
+end
+
 -- Let the options of a row make its field one of codes, of flags, or of scaled integers.
 local function add_meaning(message_type, field, row)
+  check_meaning(field, row)
   for code, text in pairs(row.values or {}) do
     demand(type(code) == "number" and input.is_text(text), "values are { [number] = text }")
   end
