@@ -36,15 +36,6 @@ local function add_item(title, name, act)
   end, name)
 end
 
--- Add an item that filters, for packets with a field.
--- row  of FILTERS
-local function add_filter(row, field)
-  add_item(row[1], field, function(values)
-    set_filter(row[2]:format(values[row[3] or "yapp.source"], values["frame.number"]))
-    apply_filter()
-  end)
-end
-
 --- Make the items, from Wireshark 4.4 on.
 -- prefs      of yapp
 -- catalogue  compiled
@@ -53,10 +44,16 @@ function M.register(prefs, catalogue, show_statistic)
   local fault_fields = {}
   for _, message_type in ipairs(catalogue.messages) do
     local field = message_type.alarms[1]
-    if field then fault_fields[#fault_fields + 1] = field.filter end
+    if field then table.insert(fault_fields, field.filter) end
   end
   for _, row in ipairs(FILTERS) do
-    for _, field in ipairs(row[3] and { row[3] } or fault_fields) do add_filter(row, field) end
+    local title, filter, field = row[1], row[2], row[3]
+    for _, needed in ipairs(field and { field } or fault_fields) do
+      add_item(title, needed, function(values)
+        set_filter(filter:format(values[field or "yapp.source"], values["frame.number"]))
+        apply_filter()
+      end)
+    end
   end
   for _, message_type in ipairs(catalogue.messages) do
     local ids, like = message_type.name .. "_ids", "yapp.like." .. message_type.name

@@ -81,10 +81,6 @@ end
 
 -- Gathering ---------------------------------------------------------------------------------------
 
-local function is_message(event)
-  return event.kind == "message"
-end
-
 -- Return the card of a fault, at its first event a new one.
 local function card_of(self, event)
   local source, incident = event.source, event.values.incident
@@ -107,12 +103,12 @@ end
 
 -- Keep an event behind a fault, if its card shows it.
 local function keep(card, event)
-  local is_shown = kinds.is_near(event, card.cause.time)
-  if is_message(event) then
-    is_shown = event.source == card.cause.source and card.behind < BEHIND
-    if is_shown then card.behind = card.behind + 1 end
+  if event.kind ~= "message" then
+    if kinds.is_near(event, card.cause.time) then insert(card.events, event) end
+  elseif event.source == card.cause.source and card.behind < BEHIND then
+    card.behind = card.behind + 1
+    insert(card.events, event)
   end
-  if is_shown then insert(card.events, event) end
 end
 
 -- Return whether cards show an event.
@@ -326,7 +322,7 @@ local function row_of(self, card, ending)
   end
   for i, event in ipairs(card.flags) do row.flags[i] = event_row(event) end
   for _, event in ipairs(card.events) do
-    if is_message(event) then
+    if event.kind == "message" then
       local is_before = event.frame <= cause.frame and cause.time - event.time <= BEFORE_FAULT
       if is_before then insert(by_source[event.source], event) end
       if event.source == cause.source then insert(row.messages, message_row(card, event)) end

@@ -224,7 +224,7 @@
     const isTold = ({ source, dash }) => Boolean(dash) || data.sources[source].is_command;
     drawn.sort(([p], [q]) => isTold(q) - isTold(p) || isPale(q.source) - isPale(p.source));
     const traces = drawn.map(([line, x, y]) => [line.source, line.name, isTold(line), x, y]).map(([source, name, dash, x, y]) => ({ type: "scatter", mode: "lines",
-      name: `${name}, ${data.names[source]}`, x, y, visible: !isHidden(source), connectgaps: false,
+      name: `${name}, ${data.sources[source].name}`, x, y, visible: !isHidden(source), connectgaps: false,
       opacity: isPale(source) && !dash ? PALE : 1,
       line: { color: dash ? styled({ colour: "command" }, "backgroundColor") : colour(source), dash: dash ? DASHES[source % DASHES.length] : "solid", width: dash ? 1 : 1.5 },
       hovertemplate: `%{y:.5~g} ${about.unit}<extra>${data.sources[source].label}${dash && !data.sources[source].is_command ? ", commanded" : ""}</extra>` }));
@@ -256,7 +256,7 @@
         bars.set(source, bar);
         let last = -Infinity;
         for (let i = 0; i < begins.length; i++) {
-          const begin = begins[i], end = ends[i], said = data.names[source];
+          const begin = begins[i], end = ends[i], said = data.sources[source].name;
           if (end < seen[0] || begin > seen[1] || end < last + pixel) continue;
           last = end;
           const visible = Math.min(seen[1], end) - Math.max(seen[0], begin), isWide = i === begins.length - 1;
@@ -269,7 +269,7 @@
       }
       y++;
     }
-    const traces = [...bars].map(([source, bar]) => ({ type: "bar", orientation: "h", width: 0.88, name: data.names[source], visible: !isHidden(source), ...bar,
+    const traces = [...bars].map(([source, bar]) => ({ type: "bar", orientation: "h", width: 0.88, name: data.sources[source].name, visible: !isHidden(source), ...bar,
       marker: { color: colour(source), line: { width: 1, color: getComputedStyle(document.body).backgroundColor } },
       textposition: "auto", insidetextanchor: "start", textangle: 0, constraintext: "none", textfont: { size: 11 },
       hovertemplate: "%{customdata[0]}: %{customdata[1]}<br>%{customdata[2]}<extra>%{fullData.name}</extra>" }));

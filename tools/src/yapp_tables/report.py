@@ -138,7 +138,6 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
         "rules": limits.name,
         "margin": margin,
         "sources": pictures.sources,
-        "names": [source["name"] for source in pictures.sources],
         "times": pictures.times,
         "figures": pictures.ordered(),
         "clouds": pictures.clouds,
