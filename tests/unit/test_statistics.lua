@@ -844,6 +844,14 @@ function T.test_events_of_a_window_are_merged()
     "0.100 3 can0 0x210 left bad CRC, 2 times up to 0.200 s", '0.300 5 can1" 0x210 bad CRC',
     "0.340 8 can0 0x210 left hot, stall raised", "0.340 8 can0 0x210 left hot, stall active after 0.000 s" })
   lu.assertEquals(#lines((run({ "events,json" }, records))), 9)
+
+  -- A reboot that Health shows first is that of Motor Data, which comes more often; 3 s later is another one.
+  local reboot = { reboot = 5 }
+  printed = run({ "events" }, { record(1, 0), record(2, 1, { source = HEALTHY, payload = ("\0"):rep(8), change = reboot }),
+    record(3, 1.1, { change = reboot }), record(4, 1.2, { source = RIGHT, change = reboot }), record(5, 4.2, { change = reboot }) }, { frames = {} })
+  list = {}
+  for _, line in ipairs(lines(printed)) do list[#list + 1] = line:match("^ *[%d.]+ +(%d+) .*rebooted") end
+  lu.assertEquals(list, { "3", "4", "5" })
 end
 
 -- For people a controller's messages are together, and the odd ones of several first.

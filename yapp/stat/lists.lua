@@ -13,6 +13,8 @@ local M = {}
 -- Kinds of events that may come often: in a window one line for each source and kind.
 local MERGED = input.set("clock missing dropped stale crc incomplete unfinished skipped invalid")
 local MORE = ", %d times up to %.3f s"
+-- A controller's messages see these one after the other, so many seconds apart at most.
+local OF_CONTROLLER, TOGETHER = input.set("silence reboot"), 2
 -- Behind the other keys, where it is.
 local NEAR = { "near", "string", "the bus events within a second of a fault, a silence or a loss" }
 local EVENTS = output.columns({
@@ -125,18 +127,33 @@ local function add_to(first, event)
   end
 end
 
--- Return a list with one event for all of a source that are of a kind which may come often, and
--- their sum; and one for all flags that a message raises, or clears.
+-- Return whose line of a window an event is on, and which: all flags that a message raises, or
+-- clears; the silence or the reboot of a controller; all of a source that may come often.
+local function line_of(event)
+  local kind, source = event.kind, event.source
+  if kind == "fault" then return source, event.values.event .. event.frame end
+  if OF_CONTROLLER[kind] and source.type.time then
+    return kind, ("%s %d"):format(source.bus_key, source.id % 16)
+  end
+  return source, MERGED[kind] and kind or event
+end
+
+-- Return a list with one event for each line: their sum, or of a controller that of its fastest
+-- message.
 local function merge(list)
-  local merged, by_source = {}, memo(function() return {} end)
+  local merged, by_owner = {}, memo(function() return {} end)
   for _, event in ipairs(list) do
-    local kind, firsts = event.kind, by_source[event.source]
-    local key = kind == "fault" and event.values.event .. event.frame or MERGED[kind] and kind
-    if key and firsts[key] then
-      add_to(firsts[key], event)
-    else
+    local owner, line = line_of(event)
+    local lines, is_controller = by_owner[owner], owner == event.kind
+    local index = lines[line]
+    local first = merged[index]
+    if not first or is_controller and event.time - first.time > TOGETHER then
+      lines[line] = #merged + 1
       merged[#merged + 1] = event
-      if key then firsts[key] = event end
+    elseif not is_controller then
+      add_to(first, event)
+    elseif event.source.type.every < first.source.type.every then
+      merged[index] = event
     end
   end
   return merged
