@@ -36,7 +36,7 @@ EXPERTS = ["tests/e2e/test_experts.py"]
 # The tests that claim to hold a row of a kind, the quick ones first.
 SUITES = {
     "field": [["tests/e2e/test_flight_fields.py"], ROUNDED, CAPTURES, ["tests/e2e/test_streams.py", "-k", "situation"],
-              ["tests/e2e/test_experts.py", "-k", "one_item_of_each_kind or each_flag"], ["tests/e2e/test_packet_menu.py"],
+              ["tests/e2e/test_experts.py", "-k", "one_item_of_each_kind or each_flag"],
               ["tests/e2e/test_buses.py", "tests/e2e/test_copies.py", "tests/e2e/test_messages.py", "tests/e2e/test_captures.py",
                "tests/e2e/test_profile.py"]],
     "severity": [[*EXPERTS, "-k", "severity"], ["tests/e2e/test_published.py"]],

@@ -5,16 +5,10 @@ local preferences = require "yapp.host.preferences"
 
 local M = {}
 
-local FAULTS = "yapp.source in {%s} && (taurus.fault.raised || taurus.fault.cleared)"
--- Title, the display filter that the values of a field and the packet's number make, and the field,
--- which the packet must have.  Without one it is the source, of a message that may have faults.
--- Wireshark selects the packet that is nearest to the one that was.
+-- Title, the field that the packet must have, and whose values are shown alone.
 local FILTERS = {
-  { "Only this controller", "yapp.source in {%s}", "yapp.source" },
-  { "Faults of this controller", FAULTS },
-  { "Previous fault of this controller", FAULTS .. " && frame.number < %d" },
-  { "Next fault of this controller", FAULTS .. " && frame.number > %d" },
-  { "Whole message", "yapp.reassembled.in in {%s}", "yapp.reassembled.in" },
+  { "Only this controller", "yapp.source" },
+  { "Whole message", "yapp.reassembled.in" },
 }
 
 -- Add an item.
@@ -41,24 +35,17 @@ end
 -- catalogue  compiled
 -- show_statistic  function(text), opens the window of an argument of -z
 function M.register(prefs, catalogue, show_statistic)
-  local fault_fields = {}
-  for _, message_type in ipairs(catalogue.messages) do
-    local field = message_type.alarms[1]
-    if field then table.insert(fault_fields, field.filter) end
-  end
-  for _, row in ipairs(FILTERS) do
-    local title, filter, field = row[1], row[2], row[3]
-    for _, needed in ipairs(field and { field } or fault_fields) do
-      add_item(title, needed, function(values)
-        set_filter(filter:format(values[field or "yapp.source"], values["frame.number"]))
-        apply_filter()
-      end)
-    end
-  end
   for _, message_type in ipairs(catalogue.messages) do
     local ids, like = message_type.name .. "_ids", "yapp.like." .. message_type.name
     add_item("Decode this ID as " .. message_type.title, like, function(values)
       preferences.set { [ids] = prefs[ids] .. "," .. values[like] }
+    end)
+  end
+  for _, row in ipairs(FILTERS) do
+    local title, field = row[1], row[2]
+    add_item(title, field, function(values)
+      set_filter(("%s in {%s}"):format(field, values[field]))
+      apply_filter()
     end)
   end
   add_item("Fault", "yapp.message.fault", function(values)

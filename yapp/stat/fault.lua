@@ -17,7 +17,7 @@ local text_of = require "yapp.message.text"
 local M = {}
 
 local insert, abs = table.insert, math.abs
-local KINDS, unpack = field_kinds.BY_NAME, rawget(table, "unpack")
+local unpack = rawget(table, "unpack")
 
 local BEFORE_FAULT = 10 -- seconds, which tell what is usual
 -- A value left its range if it is so many usual spreads from the median of the values before it.
@@ -254,7 +254,7 @@ local function message_row(card, event)
   for i, field in ipairs(message_type.fields) do
     local text = field_kinds.text(field, event.raws[field.index])
     names[i] = field.name
-    values[field.name] = not KINDS[field.kind].is_text and tonumber(text) or text
+    values[field.name] = not field_kinds.BY_NAME[field.kind].is_text and tonumber(text) or text
   end
   local text, faults = message_type.info(event.raws), text_of.faults(message_type, event.raws)
   local row = output.row(event.source, {
