@@ -110,8 +110,6 @@ def behave(capture, does):
                 f'tshark: The file "{capture}" isn\'t a capture file in a format TShark understands.', file=sys.stderr
             )
             sys.exit(2)
-        case "undecided":
-            return 21
         case "nap":
             time.sleep(0.3)
             wait_while_held(capture.parent)

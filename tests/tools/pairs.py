@@ -2,6 +2,7 @@
 """Pairs of runs with known truth: equal but for seed and weather, or with one planted change.
 
 pairs.py FIRST LAST judges these pairs: an even number is an equal pair, an odd one has a planted change.
+pairs.py BEFORE.pcapng AFTER.pcapng writes two runs: in the second, one controller takes 3 % more current.
 """
 
 import json
@@ -157,6 +158,9 @@ def trial(number):
 
 
 if __name__ == "__main__":
+    if sys.argv[1].endswith(".pcapng"):
+        write(sys.argv[1], "before"), write(sys.argv[2], "after", {0: {"current": 0.03}})
+        sys.exit()
     numbers = range(int(sys.argv[1]), int(sys.argv[2]))
     found = worse = 0
     with ProcessPoolExecutor(2) as pool:

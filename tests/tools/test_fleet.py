@@ -90,6 +90,6 @@ def test_progress_is_a_bar_on_a_terminal_and_a_line_at_the_end_elsewhere(make_ca
     os.close(theirs)
     shown = os.read(ours, 100_000).decode()
     assert done.returncode == 0, shown
-    assert re.search(r"100%.*1/1 files", shown)
+    assert re.search(r"100%.* 1/1 \[", shown)
     again = run_tables(tmp_path, *command)
     assert again.stderr == "yapp-tables: 1 capture, 3,001 rows in data\n"

@@ -75,7 +75,6 @@ def test_mcap(converted):
         schemas = {
             schema.name: (schema.encoding, json.loads(schema.data)) for schema in reader.get_summary().schemas.values()
         }
-        metadata = {each.name: each.metadata for each in reader.iter_metadata()}
         assert all(channel.schema_id for channel in reader.get_summary().channels.values())
     motor = [row for row in found if row[0].startswith("/motor")]
     assert [row[0] for row in motor] == ["/motor/can0/0x210"] * 4 + [
@@ -103,8 +102,8 @@ def test_mcap(converted):
     assert (mode["title"], mode["description"]) == ("Motor mode", "Motor mode")
     assert mode["oneOf"][1] == {"title": "Speed Mode", "const": 1}
     assert (schema["title"], schema["description"]) == ("motor", "Motor Data")
-    assert metadata["flight"]["messages"] == "10"
-    assert metadata["flight"]["start"] == "2023-11-14 22:13:20.000000001Z"
+    (flight,) = (row[2] for row in found if row[0] == "/flights")
+    assert (flight["messages"], flight["start"]) == (10, "2023-11-14 22:13:20.000000001Z")
     assert [row[2].get("text") for row in found if row[0].startswith("/note")] == [
         "short",
         None,

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from running import PLUGIN, run_tables
 from yapp_tables import steps
-from yapp_tables.errors import SetupError
+from yapp_tables.errors import CaptureError, SetupError
 from yapp_tables.series import Samples
 
 
@@ -121,7 +121,7 @@ def test_what_fits_twice_or_not_at_all_is_refused(tmp_path, changes, cut, said):
     path = log_of(tmp_path / "bench.csv", found, 0.0, cut=cut)
     if "no controller" in said:
         path = log_of(path, controller([(3 * n, random.Random(n).uniform(500, 4000)) for n in range(12)]), 0.0)
-    with pytest.raises(SetupError, match=said):
+    with pytest.raises(CaptureError, match=said):
         steps.aligned(path, found)
 
 

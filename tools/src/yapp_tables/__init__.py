@@ -8,13 +8,12 @@ from importlib.metadata import version
 
 from .convert import convert, convert_one
 from .dataset import Result
-from .errors import CaptureError, MessageError, SetupError, YappError
+from .errors import CaptureError, SetupError, YappError
 from .flight import Flight, read
 from .report import report
 from .tshark import Tshark
 
 __version__ = version("yapp-tables")
 __all__ = [
-    "CaptureError", "Flight", "MessageError", "Result", "SetupError", "Tshark", "YappError", "convert",
-    "convert_one", "read", "report",
+    "CaptureError", "Flight", "Result", "SetupError", "Tshark", "YappError", "convert", "convert_one", "read", "report",
 ]  # fmt: skip

@@ -5,7 +5,7 @@ import math
 import os
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,13 +74,7 @@ class Finding:
     write: Write | None = None
 
 
-@dataclass
-class Good:
-    """A good flight. samples: of each source, with the user's name for it, or ""."""
-
-    name: str
-    export: Export
-    samples: list[tuple[str, Samples]]
+Good = tuple[str, Export, list[tuple[str, Samples]]]  # name, and the samples of each source with the user's name, or ""
 
 
 def learn(captures: Sequence[Path], tshark: Tshark) -> tuple[str, list[str]]:
@@ -91,32 +85,30 @@ def learn(captures: Sequence[Path], tshark: Tshark) -> tuple[str, list[str]]:
     folder = os.path.commonpath([capture.parent for capture in captures])
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         flights = list(pool.map(lambda capture: _read(capture, os.path.relpath(capture, folder), tshark), captures))
-        fixed = {f"{name}.{column['name']}" for name, entry in flights[0].export.fields["messages"].items()
-                 for column in entry["columns"] if not column["learnable"]}  # fmt: skip
-        findings = [one for one in (*_summed(flights), *_shown(flights)) if one.what.rpartition(".")[0] not in fixed]
-        found, peers = {(one.source, one.what): one.found for one in findings}, defaultdict(list)
-        for one in findings:
-            peers[one.what].append(one.found)
+        columns = {f"{name}.{column['name']}": column for name, entry in flights[0][1].fields["messages"].items()
+                   for column in entry["columns"]}  # fmt: skip
+        found = {(one.source, one.what): one for one in (*_summed(flights, columns), *_shown(flights))
+                 if columns.get(one.what.rpartition(".")[0], {}).get("learnable", True)}  # fmt: skip
         rules = _counted(flights)
-        for one in findings:
+        for one in found.values():
             # A mean has the margin of the values: those of a few flights may lie close together.
             name, _, measure = one.what.rpartition(".")
-            covered = found[one.source, f"{name}.numbers"] if measure == "mean" else one.found
+            covered = found[one.source, f"{name}.numbers"].found if measure == "mean" else one.found
             # The flights of one controller may be alike by chance: they are apart as those of most controllers.
-            own = peers[one.what]
-            below = median(_apart([low for low, _, _ in rows], -1) for rows in own)
-            above = median(_apart([high for _, high, _ in rows], 1) for rows in own)
+            peers = [other.found for other in found.values() if other.what == one.what]
+            below = median(_apart([low for low, _, _ in rows], -1) for rows in peers)
+            above = median(_apart([high for _, high, _ in rows], 1) for rows in peers)
             rules.append(_rule(one, covered, (below, above)))
         head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"))
         # The gate itself says which rules these flights keep.
         text, by_key = _text(head, rules), {(rule.source, rule.text): rule for rule in rules}
         verdicts = pool.map(lambda capture: tshark.ask(capture, ["check,rules=rules,json"], text)[0], captures)
-        for flight, rows in zip(flights, verdicts, strict=True):
+        for (flight, *_), rows in zip(flights, verdicts, strict=True):
             for row in (row for row in rows if row["ok"] is not True):
                 if rule := by_key.get((row["source"] or "", row["rule"])) or by_key.get(("", row["rule"])):
                     seen = " ".join(str(row[key]) for key in ("seen", "note") if row[key] is not None)
-                    rule.lost = f"{flight.name} does not keep it ({seen})"
-    said = [f"{one.name}: {text}" for one in flights for text in one.export.lacks if not text.startswith(OF_CHECK)]
+                    rule.lost = f"{flight} does not keep it ({seen})"
+    said = [f"{name}: {text}" for name, export, _ in flights for text in export.lacks if not text.startswith(OF_CHECK)]
     return _text(head, rules), said
 
 
@@ -128,14 +120,12 @@ def _read(capture: Path, name: str, tshark: Tshark) -> Good:
         flight = Flight(capture, export)
     names = {(row["bus"], row["id"]): row["source"] or "" for row in export.records["summary"]}
     own = [(names.get(next(iter(one.ids)), ""), one) for one in samples(flight, start=flight.start()).values()]
-    return Good(name, export, own)
+    return name, export, own
 
 
-def _summed(flights: Sequence[Good]) -> Iterator[Finding]:
-    """Yield rates, gaps, ranges and means of the summaries, and the ratios of means."""
-    units = {(name, column["name"]): column["unit"] for name, entry in flights[0].export.fields["messages"].items()
-             for column in entry["columns"]}  # fmt: skip
-    rows = [(one.name, row) for one in flights for row in one.export.records["summary"] if row["message"]]
+def _summed(flights: Sequence[Good], columns: Mapping[str, Record]) -> Iterator[Finding]:
+    """Yield rates, gaps, ranges and means of the summaries, and the ratios of means. columns: by "motor.dc_current"."""
+    rows = [(name, row) for name, export, _ in flights for row in export.records["summary"] if row["message"]]
     nameless = {row["message"] for _, row in rows if not row["source"]}
     found: dict[tuple[str, str], list[Extreme]] = defaultdict(list)
     means: dict[tuple[str, str, str], dict[str, Record]] = defaultdict(dict)
@@ -145,7 +135,7 @@ def _summed(flights: Sequence[Good]) -> Iterator[Finding]:
         source = "" if message in nameless else row["source"]
         for each, value in row["values"].items():
             seen |= {f"{each}.numbers": (value["min"], value["max"]), f"{each}.mean": (value["mean"],) * 2}
-            if source and units.get((message, each)) in COMPARED:
+            if source and columns.get(f"{message}.{each}", {}).get("unit") in COMPARED:
                 means[name, message, each][source] = value
         for what, (low, high) in seen.items():
             if low is not None:
@@ -168,13 +158,13 @@ def _shown(flights: Sequence[Good]) -> Iterator[Finding]:
 
     Of all controllers together where one of a message has no name.
     """
-    every = [(source, flight.name, one) for flight in flights for source, one in flight.samples]
+    every = [(source, name, one) for name, _, own in flights for source, one in own]
     nameless = {one.message for source, _, one in every if not source}
     found: dict[tuple[str, str], list[tuple[str, Samples]]] = defaultdict(list)
     for source, name, one in every:
         found["" if one.message in nameless else source, one.message].append((name, one))
     for (source, message), own in found.items():
-        less = differences(flights[0].export.fields["messages"][message])
+        less = differences(flights[0][1].fields["messages"][message])
         for finding in [*_noises(message, own), *_under_load(message, own, less)]:
             if len({end for low, high, _ in finding.found for end in (low, high)}) > 1:
                 finding.source = source
@@ -375,10 +365,10 @@ def _limit(
 def _counted(flights: Sequence[Good]) -> list[Rule]:
     """Return the rules of `check` alone: each with 0, or with what good flights have."""
     seen: dict[str, dict[str, float]] = defaultdict(dict)
-    for flight in flights:
-        for row in flight.export.records["check"]:
+    for name, export, _ in flights:
+        for row in export.records["check"]:
             counts = seen[row["rule"].partition("=")[0]]
-            counts[flight.name] = max(counts.get(flight.name, 0.0), float(row["seen"] or 0))
+            counts[name] = max(counts.get(name, 0.0), float(row["seen"] or 0))
     rules = []
     for kind, counts in seen.items():
         ends = [(count, name) for name, count in counts.items()]

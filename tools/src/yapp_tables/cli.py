@@ -9,10 +9,9 @@ from importlib.abc import MetaPathFinder
 from pathlib import Path
 from types import ModuleType
 
-from . import __version__, baseline, install
+from . import __version__, install
 from .convert import KINDS, convert, find
 from .errors import SetupError, YappError, count_of
-from .report import write_case, write_page
 from .scratch import write_whole
 from .tshark import Tshark
 
@@ -171,18 +170,22 @@ def _convert(given: argparse.Namespace) -> int:
 
 
 def _report(given: argparse.Namespace) -> int:
+    from .report import write_page  # each command has libraries of its own
+
     _, flight = write_page(Path(given.capture), given.out, _rules(given), _tshark(given))
     _say(f"{flight.name}: {text}" for text in flight.left_out)
     return FAILED if flight.partial else INCOMPLETE if flight.left_out else 0
 
 
 def _case(given: argparse.Namespace) -> int:
+    from .report import write_case
+
     print(f"{given.out}: {write_case(Path(given.capture), given.number, _tshark(given), Path(given.out))}")
     return 0
 
 
 def _diff(given: argparse.Namespace) -> int:
-    from . import diff  # its libraries take a while
+    from . import diff
 
     found = diff.compare(find(given.before), find(given.after), _tshark(given), _rules(given))
     if given.junit:
@@ -206,6 +209,8 @@ def _print(given: argparse.Namespace, module: ModuleType, found: object) -> None
 
 
 def _baseline(given: argparse.Namespace) -> int:
+    from . import baseline
+
     captures = find(given.captures)
     text, left = baseline.learn(captures, _tshark(given))
     write_whole(Path(given.out), text)

@@ -22,7 +22,7 @@ from .errors import SetupError, YappError, need
 from .flight import Flight
 from .tables import catalogue_version
 from .tshark import Record, Tshark, check_file
-from .writers import Target, Writer
+from .writers import Writer
 
 Kind = Literal["parquet", "csv", "delta", "mf4", "mcap"]
 SCHEDULER_SECONDS = 10
@@ -79,7 +79,9 @@ def convert(
     if re.match(r"\w{2,}:(?!//)", str(out)):  # C: is a drive
         raise SetupError(f"{out} is neither a folder nor a URL such as s3://bucket/folder")
     where, tshark = str(out) if "://" in str(out) else os.path.abspath(out), Tshark(**how)
-    dataset, made = DataSet(where, to), made_by(tshark, tshark.fields())
+    dataset = DataSet(where, to)
+    # Of a single capture its own run says it.
+    made = made_by(tshark, tshark.fields()) if len(found) > 1 else None
     dataset.open()
     task = partial(convert_one, out=where, to=to, bench=bench and os.path.abspath(bench), made=made, **how)
     with _executor(scheduler, jobs or os.cpu_count() or 1) as pool:
@@ -112,21 +114,18 @@ def _executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
 
 def _run(captures: Sequence[Path], task: Callable[[Path], Result], pool: Executor) -> dict[Path, Result]:
     """Convert all, the largest first."""
-    sizes = {capture: capture.stat().st_size if capture.exists() else 0 for capture in captures}
-    waiting = {}
-    for capture in sorted(captures, key=lambda capture: -sizes[capture]):
-        waiting[pool.submit(task, capture)] = capture
+    largest = sorted(captures, key=lambda capture: capture.stat().st_size if capture.exists() else 0, reverse=True)
+    waiting = {pool.submit(task, capture): capture for capture in largest}
     done: dict[Path, Result] = {}
-    with tqdm(total=sum(sizes.values()), unit="B", unit_scale=True, disable=None) as bar:
-        for future in as_completed(waiting):
-            capture = waiting[future]
-            if future.cancelled():
-                raise SetupError("the Dask scheduler went away; the same command does the rest")
-            error = future.exception()
-            failed = Result("", str(capture), "", failure=str(error) or type(error).__name__)
-            done[capture] = failed if error else future.result()
-            bar.set_postfix_str(f"{len(done)}/{len(captures)} files", refresh=False)
-            bar.update(sizes[capture])
+    for future in tqdm(as_completed(waiting), total=len(waiting), unit=" captures", disable=None):
+        capture = waiting[future]
+        if future.cancelled():
+            raise SetupError("the Dask scheduler went away; the same command does the rest")
+        error = future.exception()
+        if isinstance(error, SetupError):
+            raise error
+        failed = Result("", str(capture), "", failure=str(error) or type(error).__name__)
+        done[capture] = failed if error else future.result()
     return done
 
 
@@ -166,33 +165,35 @@ def convert_one(
     better on this machine, and YappError where the data set cannot be written.
     """
     capture, tshark, dataset = Path(os.path.abspath(capture)), Tshark(**how), DataSet(out, to)
-    made = made or made_by(tshark, tshark.fields())
     dataset.open()
     flight = ""
     try:
         check_file(capture)
         flight = flight_id(capture)
-        known = dataset.find(flight)
-        is_there = known and all(dataset.fs.exists(f"{dataset.path}/{file}") for file in known.files)
-        if known and is_there and known.made_by == made and not bench:
-            if known.capture != str(capture) and not os.path.exists(known.capture):  # it was moved
-                known = replace(known, capture=str(capture))
-                dataset.note(known)
-            return known
+        known = None if bench else dataset.find(flight)
+        if known and all(dataset.fs.exists(f"{dataset.path}/{file}") for file in known.files):
+            made = made or made_by(tshark, tshark.fields())
+            if known.made_by == made:
+                if known.capture != str(capture) and not os.path.exists(known.capture):  # it was moved
+                    known = replace(known, capture=str(capture))
+                    dataset.note(known)
+                return known
         return _convert(capture, dataset, tshark, made, Path(bench) if bench else None)
     except SetupError:
         raise
     except OSError as error:
         raise YappError(f"{out}: {error}") from error
     except YappError as error:
-        return Result(flight, str(capture), made, failure=str(error).removeprefix(f"{capture}: "))
+        if not made:
+            tshark.fields()  # raises SetupError where nothing is wrong with this capture
+        return Result(flight, str(capture), made or "", failure=str(error).removeprefix(f"{capture}: "))
 
 
-def _convert(capture: Path, dataset: DataSet, tshark: Tshark, made: str, bench: Path | None) -> Result:
+def _convert(capture: Path, dataset: DataSet, tshark: Tshark, made: str | None, bench: Path | None) -> Result:
     with dataset.aside() as aside:
         export = tshark.export(capture, aside / "export")
         here = made_by(tshark, export.fields)
-        if here != made:
+        if made and here != made:
             raise SetupError(f"the machine that works on it has another plugin or catalogue: {here}, not {made}")
         flight = Flight(capture, export)
         tables = flight.tables(capture, tshark.options, bench)
@@ -200,10 +201,10 @@ def _convert(capture: Path, dataset: DataSet, tshark: Tshark, made: str, bench: 
         folder = aside / "result"
         folder.mkdir()
         before = dataset.find(flight.flight_id)
-        writer(dataset.to)(tables, Target(folder, name, dataset.url, flight.flight_id))
+        writer(dataset.to)(tables, folder / name, dataset.url, flight.flight_id)
         files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
         counts = {name: len(rows) for name, rows in tables.items()}
-        known = flight.flight_id, str(capture), made, files, counts, export.partial, export.lacks
+        known = flight.flight_id, str(capture), here, files, counts, export.partial, export.lacks
         result = Result(*known, notes=flight.notes)
         dataset.place(folder, result)
         if before and dataset.to == "delta" and (gone := before.messages.keys() - counts.keys()):

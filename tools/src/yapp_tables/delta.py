@@ -8,6 +8,7 @@ import re
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
+from pathlib import Path
 
 import pyarrow as pa
 from deltalake import DeltaTable, write_deltalake
@@ -15,7 +16,7 @@ from deltalake.exceptions import DeltaError, TableNotFoundError
 
 from .errors import YappError
 from .tables import DURATION, KIND
-from .writers import Tables, Target
+from .writers import Tables
 
 # Several writers of one table: a transaction that another one overtook is tried again.
 TRIES = 50
@@ -34,21 +35,17 @@ TYPES = {
 }
 
 
-def write_delta(tables: Tables, target: Target) -> None:
+def write_delta(tables: Tables, _: Path, url: str, flight: str) -> None:
     """Put the rows of a flight in place of those that are there; a column that is new extends the table."""
-    how = {"mode": "overwrite", "predicate": _is(target.flight_id), "schema_mode": "merge"}
+    how = {"mode": "overwrite", "predicate": _is(flight), "schema_mode": "merge"}
     for name, rows in tables.items():
-        _again(partial(write_deltalake, _url(target.url, name), _rows(rows), **how))
+        _again(partial(write_deltalake, _url(url, name), _rows(rows), **how))
 
 
 def delete(url: str, flight: str, messages: Iterable[str]) -> None:
     """Remove the rows of a flight."""
-    for message in messages:
-        _again(partial(_delete, _url(url, message), flight))
-
-
-def _delete(place: str, flight: str) -> None:
-    DeltaTable(place).delete(_is(flight))
+    for place in (_url(url, message) for message in messages):
+        _again(lambda place=place: DeltaTable(place).delete(_is(flight)))  # type: ignore[misc]
 
 
 def _again(work: Callable[[], object]) -> None:

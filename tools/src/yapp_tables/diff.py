@@ -8,6 +8,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,7 +18,7 @@ from . import pages
 from .changes import BLOCK, LEAST_BLOCKS, Change, Following, Load, change, comparable, dependent, more_often, responses
 from .errors import count_of
 from .flight import Flight, read_flight
-from .series import APART, DEGREES, Array, Samples, controllers, joined, samples, source_name
+from .series import APART, DEGREES, Array, Samples, joined, samples, source_name
 from .tshark import Record, Tshark
 
 LEAST_SECONDS, LEAST_COMMON = 20.0, 0.3  # of a run; share of its samples at loads of both
@@ -30,6 +31,7 @@ OTHER_EVENTS = ("fault", "unknown", "absent", "clock", "unfinished", "shared")
 LOSSES = ("incomplete", "crc", "missing", "skipped", "dropped", "stale")
 BURST = 2.0  # seconds in which losses count once
 ORDER = {"worse": 0, "changed": 1, "better": 2}
+NUMBERS = ("before", "after", "change", "low", "high")  # values of both runs, their change, and its 95 % interval
 
 
 @dataclass(frozen=True)
@@ -112,33 +114,19 @@ class Pair:
         return places
 
 
-@dataclass
-class Finding:
-    """What differs. kind: "worse", "better", "changed"; numbers: values of both runs in unit, their change, and its
-    95 % interval; weight: how many times the least change that counts; at: where it shows, of both runs."""
+def _finding(kind: str, who: str, measure: str, text: str, at: Sequence[Record] = ({}, {}), **more: Any) -> Record:
+    """Return what differs, as a JSON line. kind: a word of ORDER; at: where it shows, of both runs; more: NUMBERS."""
+    row: Record = {"kind": kind, "controller": who, "measure": measure, "text": text, "unit": "", "weight": 1.0}
+    row |= dict.fromkeys(NUMBERS) | more
+    for side, its in zip(("before", "after"), at, strict=True):
+        row |= {f"{side}_{name}": its.get(name) for name in ("file", "frame", "time")}
+    return row
 
-    kind: str
-    controller: str
-    measure: str
-    text: str
-    unit: str = ""
-    numbers: Sequence[float | None] = (None,) * 5
-    weight: float = 1.0
-    at: Sequence[Record] = ({}, {})
 
-    def record(self) -> Record:
-        """Return a JSON line."""
-        known = {name: value for name, value in vars(self).items() if name not in ("at", "weight", "numbers")}
-        known |= zip(("before", "after", "change", "low", "high"), self.numbers, strict=True)
-        for side, at in zip(("before", "after"), self.at, strict=True):
-            known |= {f"{side}_{name}": at.get(name) for name in ("file", "frame", "time")}
-        return known
-
-    def sentence(self) -> str:
-        """Return it for people."""
-        both = zip(("before", "after"), self.at, strict=True)
-        where = ", ".join(f"{side} frame {at['frame']} at {at['time']:.3f} s" for side, at in both if at)
-        return f"{self.kind}: {self.controller}: {self.text}{f' ({where})' if where else ''}"
+def _sentence(row: Record) -> str:
+    sides = [side for side in ("before", "after") if row[f"{side}_frame"]]
+    where = ", ".join(f"{side} frame {row[f'{side}_frame']} at {row[f'{side}_time']:.3f} s" for side in sides)
+    return f"{row['kind']}: {row['controller']}: {row['text']}{f' ({where})' if where else ''}"
 
 
 @dataclass
@@ -148,14 +136,14 @@ class Comparison:
     runs: tuple[Run, Run]
     pairs: list[Pair] = field(default_factory=list)
     reason: str = ""
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[Record] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     compared: list[tuple[str, str]] = field(default_factory=list)
 
     @property
     def code(self) -> int:
         """20 if something got worse, 21 if that could not be judged, 0 otherwise."""
-        if any(finding.kind == "worse" for finding in self.findings):
+        if any(row["kind"] == "worse" for row in self.findings):
             return 20
         return 21 if self.reason or any(flight.left_out for run in self.runs for flight in run.flights) else 0
 
@@ -173,7 +161,7 @@ def compare(before: Sequence[Path], after: Sequence[Path], tshark: Tshark, rules
         found.compared += [(one.controller, one.title) for one in measured]
         is_many = min(len(run.flights) for run in found.runs) >= MANY
         found.findings = [*_judged(measured, is_many), *_events(found), *_interface(found), *_rules(found)]
-        found.findings.sort(key=lambda one: (ORDER[one.kind], -one.weight))
+        found.findings.sort(key=lambda row: (ORDER[row["kind"]], -row["weight"]))
     return found
 
 
@@ -187,13 +175,14 @@ def _read(name: str, captures: Sequence[Path], tshark: Tshark, rules: str) -> Ru
         found.append(own)
         keys = {ids: key for key, one in own.items() for ids in one.ids}
         events = flight.events.append_column("at", flight.events["time"].cast("int64")).drop_columns("time").to_pylist()
-        for event, who in zip(events, controllers(events), strict=True):
+        for event in events:
             at = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
-            known = keys.get((event["bus"], event["id"]))
             event |= {"at": {"file": flight.name, "frame": event["frame"], "time": round(at, 3)}}
-            event["who"] = known[0] if known else who if isinstance(who, str) else source_name(event)
+            event["who"], _ = keys.get((event["bus"], event["id"])) or (source_name(event), "")
         run.events += events
-        for bus, ident, size in tshark.packets(capture, ("yapp.bus", "yapp.id", "yapp.size")):
+        fields = ["-T", "fields", "-E", "occurrence=l", "-e", "yapp.bus", "-e", "yapp.id", "-e", "yapp.size"]
+        for line in set(tshark.run(capture, ["-Y", "yapp.size", *fields]).splitlines()):
+            bus, ident, size = line.split("\t")
             if key := keys.get((bus or None, int(ident, 0))):
                 run.sizes[key].add(int(size))
         if rules:
@@ -321,7 +310,7 @@ def _lag(pair: Pair) -> Iterator[_Measured]:
         yield _Measured(pair.controller, title, "ms", "lag", result, before * 1e3, pair.begins())
 
 
-def _judged(measured: list[_Measured], is_many: bool) -> Iterator[Finding]:
+def _judged(measured: list[_Measured], is_many: bool) -> Iterator[Record]:
     """Say which changes lie beyond their interval: that of all comparisons together, and the least that counts.
 
     What all controllers have in common is one finding. It may be wind and weather: only of many flights it is worse.
@@ -344,17 +333,16 @@ def _judged(measured: list[_Measured], is_many: bool) -> Iterator[Finding]:
             whole = Change(middle - cause, error, min(one.change.freedom for one in group))
             typical = group[int(np.argmin(np.abs(values - middle)))]
             bound = LEAST_OF_ALL if kind.is_multiple else kind.least
-            for finding in _finding(typical, whole, chance, bound, f"all {len(group)} controllers"):
-                if not is_many:
-                    finding.kind, finding.text = "changed", f"{finding.text}; {ALIKE}"
-                yield finding
+            for row in _sure(typical, whole, chance, bound, f"all {len(group)} controllers"):
+                yield row if is_many else row | {"kind": "changed", "text": f"{row['text']}; {ALIKE}"}
         bound = LEAST_OF_ALL if name == "A" and not has_peers else kind.least
         for one in group:
             own = one.beside or replace(one.change, value=one.change.value - cause)
-            yield from _finding(one, own, chance, bound, one.controller)
+            yield from _sure(one, own, chance, bound, one.controller)
 
 
-def _finding(one: _Measured, change: Change, chance: float, bound: float, who: str) -> Iterator[Finding]:
+def _sure(one: _Measured, change: Change, chance: float, bound: float, who: str) -> Iterator[Record]:
+    """Yield the finding of a change that is beyond its interval and the least one."""
     sure_low, sure_high = change.within(chance)
     if sure_low <= 0 <= sure_high or abs(change.value) < bound:
         return
@@ -370,10 +358,12 @@ def _finding(one: _Measured, change: Change, chance: float, bound: float, who: s
     text += f", {one.base:.4g} -> {now:.4g} {one.unit}{' at equal load' * kind.has_load}"
     text = f"{one.title} {text}{' beyond the others' * (change is one.beside)}"
     word = "worse" if change.value * kind.worse > 0 else "better"
-    yield Finding(word, who, one.title, text, one.unit, (one.base, now, *numbers), abs(change.value) / bound, one.at)
+    known = dict(zip(NUMBERS, (one.base, now, *numbers), strict=True))
+    # Its weight is how many times the least change it is.
+    yield _finding(word, who, one.title, text, one.at, unit=one.unit, weight=abs(change.value) / bound, **known)
 
 
-def _events(found: Comparison) -> Iterator[Finding]:
+def _events(found: Comparison) -> Iterator[Record]:
     """Compare how often faults, reboots, losses and the like came: new, gone, more often, less often."""
     seconds = found.runs[0].seconds, found.runs[1].seconds
     share = seconds[1] / sum(seconds)
@@ -403,10 +393,11 @@ def _events(found: Comparison) -> Iterator[Finding]:
         text = f"{what} {word}: {few} -> {many} times, {hours[0]:.3g} -> {hours[1]:.3g} an hour{doubt}"
         weight = many / max(few, 1) + 1 if is_more else 0.5
         at: list[Record] = [next((event["at"] for event in side if event["frame"]), {}) for side in sides]
-        yield Finding(kind, who, what, text, "an hour", (*hours, hours[1] - hours[0], None, None), weight, at)
+        known = {"before": hours[0], "after": hours[1], "change": hours[1] - hours[0]}
+        yield _finding(kind, who, what, text, at, unit="an hour", weight=weight, **known)
 
 
-def _interface(found: Comparison) -> Iterator[Finding]:
+def _interface(found: Comparison) -> Iterator[Record]:
     """Compare IDs, sizes and the meanings of enums. A message that grew takes more of the bus."""
     for pair in found.pairs:
         one, other = pair.sides
@@ -414,23 +405,24 @@ def _interface(found: Comparison) -> Iterator[Finding]:
         if one.ids != other.ids:
             rows = ([{"bus": bus, "id": ident} for bus, ident in sorted(own.ids, key=str)] for own in pair.sides)
             was, now = (", ".join(map(source_name, own)) for own in rows)
-            yield Finding("changed", who, f"ID of {one.title}", f"ID of {one.title} {was} -> {now}", at=at)
+            yield _finding("changed", who, f"ID of {one.title}", f"ID of {one.title} {was} -> {now}", at)
         sizes = [sorted(run.sizes[who, one.message]) for run in pair.runs]
         if sizes[0] != sizes[1] and all(sizes):
             texts = [" and ".join(map(str, own)) for own in sizes]
             grown = max(sizes[1]) - max(sizes[0])
             text = f"size of {one.title} {texts[0]} -> {texts[1]} bytes ({grown:+d})"
-            kind, numbers = "worse" if grown > 0 else "changed", (max(sizes[0]), max(sizes[1]), grown, grown, grown)
-            yield Finding(kind, who, f"size of {one.title}", text, "bytes", numbers, 3.0, at)
+            known = {"before": max(sizes[0]), "after": max(sizes[1]), "change": grown, "low": grown, "high": grown}
+            kind = "worse" if grown > 0 else "changed"
+            yield _finding(kind, who, f"size of {one.title}", text, at, unit="bytes", weight=3.0, **known)
         for name in one.names("enum"):
             title = one.title_of(name)
             old, new = (own.texts.get(name, set()) for own in pair.sides)
             news = [f"{text} is new" for text in sorted(new - old)] + [f"{text} is gone" for text in sorted(old - new)]
             if news:
-                yield Finding("changed", who, title, f"{title}: {', '.join(news)}", at=at)
+                yield _finding("changed", who, title, f"{title}: {', '.join(news)}", at)
 
 
-def _rules(found: Comparison) -> Iterator[Finding]:
+def _rules(found: Comparison) -> Iterator[Record]:
     """Compare the verdicts on the rules of a file."""
     sides: list[dict[tuple[str, str], Record]] = [{}, {}]
     for side, run in zip(sides, found.runs, strict=True):
@@ -446,7 +438,7 @@ def _rules(found: Comparison) -> Iterator[Finding]:
             seen = f" (seen {row['seen']}, limit {row['limit']})" if row.get("seen") is not None else ""
             frame = f", frame {row['frame']}" if row.get("frame") else ""
             text = f"rule {key[0]} {words[was]}, now {words[row['ok']]}{seen}{frame}"
-            yield Finding(kind, key[1] or "all", key[0], text, weight=10.0)
+            yield _finding(kind, key[1] or "all", key[0], text, weight=10.0)
 
 
 def lines(found: Comparison) -> Iterator[str]:
@@ -458,26 +450,27 @@ def lines(found: Comparison) -> Iterator[str]:
     if found.reason:
         yield f"not comparable: {found.reason}"
         return
-    yield from (finding.sentence() for finding in found.findings)
-    counts = [sum(one.kind == kind for one in found.findings) for kind in ORDER]
+    yield from map(_sentence, found.findings)
+    counts = [sum(row["kind"] == kind for row in found.findings) for kind in ORDER]
     what = count_of(len(found.compared), "comparison")
     yield f"{counts[0]} worse, {counts[1]} changed, {counts[2]} better in {what}"
 
 
 def json_lines(found: Comparison) -> Iterator[str]:
     """Yield a JSON line for each finding, and one with the verdict behind them."""
-    yield from (json.dumps(finding.record(), ensure_ascii=False) for finding in found.findings)
+    yield from (json.dumps(row, ensure_ascii=False) for row in found.findings)
     about = {"kind": "verdict", "code": found.code, "comparable": not found.reason, "reason": found.reason or None}
     yield json.dumps(about | {"notes": found.notes, "compared": len(found.compared)}, ensure_ascii=False)
 
 
 def junit(found: Comparison) -> str:
     """Return a JUnit suite: a case for each comparison, what got worse as a failure."""
-    worse = {(one.controller, one.measure): one.sentence() for one in found.findings if one.kind == "worse"}
+    worse = {(row["controller"], row["measure"]): _sentence(row) for row in found.findings if row["kind"] == "worse"}
     cases = dict.fromkeys(found.compared, "") | worse | ({("diff", "comparable"): ""} if found.reason else {})
     counts = {"tests": len(cases), "failures": len(worse), "errors": int(bool(found.reason))}
-    about = {name: str(count) for name, count in counts.items()}
-    suite = ElementTree.Element("testsuite", {"name": "yapp-tables diff", **about})
+    suite = ElementTree.Element(
+        "testsuite", {name: str(count) for name, count in counts.items()}, name="yapp-tables diff"
+    )
     for (who, what), failure in cases.items():
         case = ElementTree.SubElement(suite, "testcase", classname=who, name=what)
         if failure:
@@ -493,7 +486,7 @@ def page(found: Comparison) -> str:
     if found.reason:
         parts.append(f"<p class=worse>not comparable: {html.escape(found.reason)}</p>")
         return pages.page("Two runs compared", parts)
-    parts.append(pages.listed([(one.kind, one.sentence()) for one in found.findings] or [("", "nothing differs")]))
+    parts.append(pages.listed([(row["kind"], _sentence(row)) for row in found.findings] or [("", "nothing differs")]))
     for pair in found.pairs:
         load, one = pair.load(), pair.sides[0]
         if load is None or not one.speed():

@@ -17,14 +17,6 @@ class CaptureError(YappError):
     """Something is wrong with this capture; another try would say the same."""
 
 
-class MessageError(CaptureError, KeyError):
-    """A flight has no rows of this message."""
-
-    def __str__(self) -> str:
-        """Return the sentence as it is: KeyError would quote it."""
-        return str(self.args[0])
-
-
 def count_of(number: int, noun: str) -> str:
     """Return "1 flight", "2,000 flights"."""
     return f"{number:,} {noun}{'s' * (number != 1)}"

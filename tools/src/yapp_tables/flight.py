@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """A capture in a notebook: its messages as tables."""
 
+import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal
@@ -12,12 +13,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from .dataset import StrPath, flight_id
-from .errors import CaptureError, MessageError, count_of
+from .errors import CaptureError, count_of
 from .incidents import faults_in
 from .scratch import scratch
 from .series import samples
 from .steps import aligned, point_columns, points, steps
-from .tables import TABLES, catalogue_version, columns_of, faults, present, read_rows, record_column, table, to_write
+from .tables import TABLES, catalogue_version, columns_of, read_rows, record_column, table, to_write
 from .tables import messages as catalogue
 from .tshark import Export, Record, Tshark
 
@@ -42,29 +43,35 @@ class Flight(Mapping[str, pa.Table]):
     def __init__(self, capture: Path, export: Export, begin: int | None = None) -> None:
         """Load the tables of an export of this capture; begin: of the capture."""
         self.name, self.flight_id, self.begin = capture.name, flight_id(capture), begin
-        self.partial, self.left_out, self.notes = export.partial, export.left_out, list(export.notes)
+        self.partial, self.notes = export.partial, list(export.notes)
+        self.left_out = [*([f"read in part: {self.partial}"] if self.partial else []), *export.lacks]
         self.plugin, self.catalogue = str(export.fields["plugin"]), catalogue_version(export.fields)
         self.records = {name: columns_of(export.fields, name) for name in TABLES}
         self.events = table(export.records["events"], self.records["events"])
-        self.faults = faults(self.events, self.records["faults"])
+        named = [name for name in self.records["faults"].names if name in self.events.schema.names]
+        self.faults = self.events.filter(pc.equal(self.events["kind"].cast(pa.string()), "fault")).select(named)
         self.summary = table(export.records["summary"], self.records["summary"])
         self.buses = table(export.records["buses"], self.records["buses"])
-        known, found = catalogue(export.fields), present(export)
-        if not found:
-            raise CaptureError(": ".join([f"{capture}: no YAPP messages in it", *self.left_out]))
+        known = catalogue(export.fields)
         self.titles: dict[str, str] = {name: schema.metadata[b"title"].decode() for name, schema in known.items()}
-        self.messages = {name: known[name] for name in found}
-        about = {"source_file": self.name, "flight_id": self.flight_id}
-        self._tables = {name: read_rows(export, name, about) for name in found}
+        self.about = {"source_file": self.name, "flight_id": self.flight_id}
+        every = {
+            name: read_rows(export.folder / f"{name}.csv", known[name], entry, self.about)
+            for name, entry in export.fields["messages"].items()
+        }
+        self._tables = {name: rows for name, rows in every.items() if len(rows)}
+        self.messages = {name: known[name] for name in self._tables}
+        if not self._tables:
+            raise CaptureError(": ".join([f"{capture}: no YAPP messages in it", *self.left_out]))
 
     def __getitem__(self, message: str) -> pa.Table:
-        """Return the rows of a message; MessageError, a KeyError, where the capture has none."""
+        """Return the rows of a message. Raises KeyError, with a sentence, where the capture has none."""
         if message in self._tables:
             return self._tables[message]
         if message not in self.titles:
-            raise MessageError(f"no message {message!r}; known messages: {', '.join(self.titles)}")
+            raise KeyError(f"no message {message!r}; known messages: {', '.join(self.titles)}")
         why = "; ".join(self.left_out) or f"it has {', '.join(self)}"
-        raise MessageError(f"{self.name} has no decoded {self.titles[message]}: {why}")
+        raise KeyError(f"{self.name} has no decoded {self.titles[message]}: {why}")
 
     def __iter__(self) -> Iterator[str]:
         """Return the names of the messages that the capture has."""
@@ -78,15 +85,10 @@ class Flight(Mapping[str, pa.Table]):
         """Return where seconds count from, in nanoseconds since 1970: the capture's begin, or the first message."""
         return self.begin or min(pc.min(table["time"]).value for table in self._tables.values())
 
-    def __repr__(self) -> str:
-        """Return what is in it, on one line."""
-        rows = ", ".join(f"{name}: {len(rows)}" for name, rows in self._tables.items())
-        return f"<Flight {self.name} ({rows}; {count_of(len(self.events), 'event')})>"
-
     def tables(self, capture: Path, options: Sequence[str], log: Path | None = None) -> dict[str, pa.Table]:
         """Return its messages, events, faults, summary, steps, points and the flight itself, as a data set has them.
 
-        log: of a thrust stand. Raises SetupError where that does not fit.
+        log: of a thrust stand. Raises YappError where that does not fit.
         """
         # Steps and points are made of the message with a speed and its command, and of those commands.
         commands = {each for schema in self.messages.values() for each in schema.names if each.endswith("_commanded")}
@@ -112,8 +114,7 @@ class Flight(Mapping[str, pa.Table]):
             "points": timed(points(found, bench), pa.schema([*self.records["points"], *columns])),
             "flights": pa.Table.from_pylist([self._row(capture, options)], self.records["flights"]),
         }
-        about = {"source_file": self.name, "flight_id": self.flight_id}
-        return self._tables | {name: to_write(name, rows, about) for name, rows in records.items()}
+        return self._tables | {name: to_write(name, rows, self.about) for name, rows in records.items()}
 
     def _row(self, capture: Path, options: Sequence[str]) -> Record:
         """Return the row of `flights`."""
@@ -148,7 +149,10 @@ def read_flight(capture: Path, tshark: Tshark, has_begin: bool = False) -> Fligh
     """
     with scratch() as folder:
         export = tshark.export(capture, folder / "export")
-        return Flight(capture, export, tshark.begin(capture) if has_begin else None)
+        if not has_begin:
+            return Flight(capture, export)
+        first = tshark.run(capture, ["-c", "1", "-T", "fields", "-e", "frame.time_epoch"]).strip()
+        return Flight(capture, export, int(Decimal(first).scaleb(9)) if re.fullmatch(r"\d+\.\d+", first) else None)
 
 
 def read(capture: StrPath, **how: Any) -> Flight:

@@ -3,22 +3,23 @@
 
 import json
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 from mcap.writer import Writer
 
 from .tables import DURATION, TIME, said
-from .writers import Tables, Target, begin, by_source, seconds, times_of
+from .writers import Tables, begin, by_source, seconds, times_of
 
-# MCAP has the time itself; the rest stands once, in the metadata `flight`.
+# MCAP has the time itself; the rest stands once, in `flights`.
 LEFT_OUT = ("time", "source_file", "flight_id")
 
 
-def write_mcap(tables: Tables, target: Target) -> None:
+def write_mcap(tables: Tables, path: Path, *_: str) -> None:
     """Write a capture. A value that is absent or reserved is left out; `_special` says which. Lengths are seconds."""
     start = begin(tables.values())
-    with (target.folder / f"{target.name}.mcap").open("wb") as file:
+    with path.with_name(f"{path.name}.mcap").open("wb") as file:
         writer: Any = Writer(file)
         writer.start(library=f"yapp-tables {version('yapp-tables')}")
         for name, rows in tables.items():
@@ -33,13 +34,10 @@ def _write(writer: Any, name: str, table: pa.Table, start: int) -> None:
     about = {"title": name, "description": said(table.schema.metadata)["title"], "type": "object"}
     schema = writer.register_schema(name, "jsonschema", json.dumps(about | {"properties": properties}).encode())
     for source, rows in by_source(table):
-        whose = {"controller": source[0]} if len(source) == 1 and source[0] else {}
-        channel = writer.register_channel("/".join(("", name, *source)), "json", schema, whose)
+        channel = writer.register_channel("/".join(("", name, *source)), "json", schema)
         for time, row in zip(times_of(rows, start).to_pylist(), _plain(rows.select(names)).to_pylist(), strict=True):
             there = {key: value for key, value in row.items() if value is not None}
             writer.add_message(channel, time, json.dumps(there, ensure_ascii=False).encode(), time)
-            if name == "flights":
-                writer.add_metadata("flight", {key: str(value) for key, value in there.items()})
 
 
 def _plain(rows: pa.Table) -> pa.Table:

@@ -4,6 +4,7 @@
 import json
 from datetime import UTC, datetime
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
 
@@ -13,22 +14,22 @@ import pyarrow.compute as pc
 from asammdf import MDF, Signal
 
 from .tables import DURATION, HEAD, TIME, is_message, said
-from .writers import Tables, Target, begin, by_source, times_of
+from .writers import Tables, begin, by_source, times_of
 
 # As the plugin numbers the reserved counts in `<field>.special`.
 SPECIAL = ("nan", "inf", "-inf", "above", "below")
 NANOSECONDS = 1_000_000_000
 
 
-def write_mf4(tables: Tables, target: Target) -> None:
+def write_mf4(tables: Tables, path: Path, _: str, flight: str) -> None:
     """Write a capture: units, meanings of numbers, invalidation bits where a value is absent, the time it began at."""
     start = begin(tables.values()) // NANOSECONDS
-    with MDF(version="4.10", temporary_folder=str(target.folder.parent)) as mdf:
+    with MDF(version="4.10", temporary_folder=str(path.parent.parent)) as mdf:
         mdf.header.start_time = datetime.fromtimestamp(start, UTC)
-        mdf.header.comment = f"flight {target.flight_id}, yapp-tables {version('yapp-tables')}"
+        mdf.header.comment = f"flight {flight}, yapp-tables {version('yapp-tables')}"
         for name, rows in tables.items():
             _append(mdf, name, rows, start)
-        mdf.save(target.folder / f"{target.name}.mf4", compression=2, overwrite=True)
+        mdf.save(path.with_name(f"{path.name}.mf4"), compression=2, overwrite=True)
 
 
 def _append(mdf: Any, message: str, table: pa.Table, start: int) -> None:

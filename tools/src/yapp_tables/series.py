@@ -147,15 +147,13 @@ def joined(flights: Sequence[Mapping[tuple[str, str], Samples]]) -> dict[tuple[s
     whole: dict[tuple[str, str], Samples] = {}
     for flight in flights:
         for key, own in flight.items():
-            if key in whole:
-                one = whole[key]
+            one = whole.setdefault(key, own)
+            if one is not own:
                 one.times = np.concatenate([one.times, own.times])
                 one.frames = np.concatenate([one.frames, own.frames])
                 one.columns = {name: np.concatenate([one.columns[name], own.columns[name]]) for name in own.columns}
                 one.ids |= own.ids
                 one.texts = {name: one.texts[name] | own.texts[name] for name in own.texts}
-            else:
-                whole[key] = own
     return whole
 
 

@@ -14,7 +14,7 @@ import pyarrow as pa
 from pyarrow import csv
 
 from .changes import command_of, slope
-from .errors import SetupError
+from .errors import CaptureError, SetupError
 from .series import DEGREES, Array, Samples, numbers
 from .tshark import Record
 
@@ -42,8 +42,10 @@ def measured_names(one: Samples) -> list[str]:
 def steps(found: Mapping[tuple[str, str], Samples]) -> Iterator[Record]:
     """Yield a record for each change of a command of LEAST_STEP of its range after which it held."""
     for one, name, when, told in followed(found):
-        size = LEAST_STEP * (told.max() - told.min())
-        for at in np.flatnonzero(np.abs(np.diff(told)) > max(size, 1e-9)) + 1:
+        size, jumps = LEAST_STEP * (told.max() - told.min()), np.abs(np.diff(told, prepend=told[:1], append=told[-1:]))
+        # Most of a command that never rests fall out here.
+        is_held = (jumps[1:] <= NEAR * jumps[:-1]) | (np.diff(when, append=np.inf) >= HOLD)
+        for at in np.flatnonzero((jumps[:-1] > max(size, 1e-9)) & is_held):
             change = told[at] - told[at - 1]
             soon = np.searchsorted(when, when[at] + HOLD)
             if (np.abs(told[at:soon] - told[at]) > NEAR * abs(change)).any():
@@ -121,10 +123,10 @@ def points(found: Mapping[tuple[str, str], Samples], bench: "Bench | None" = Non
 
 def _holds(when: Array, told: Array, level: float) -> Iterator[tuple[int, int]]:
     """Yield first and last index of each stretch in which a command stays within a level of its first value."""
-    first = 0
-    for at in range(1, len(told) + 1):
-        if at == len(told) or abs(told[at] - told[first]) > level or when[at] - when[at - 1] > LEAST_POINT:
-            if when[at - 1] - when[first] >= LEAST_POINT:
+    first, times, values = 0, when.tolist(), told.tolist()  # a list is read faster than an array
+    for at in range(1, len(values) + 1):
+        if at == len(values) or abs(values[at] - values[first]) > level or times[at] - times[at - 1] > LEAST_POINT:
+            if times[at - 1] - times[first] >= LEAST_POINT:
                 yield first, at - 1
             first = at
 
@@ -195,7 +197,7 @@ def read(path: Path) -> tuple[Array, Array, dict[str, Array]]:
 
 
 def aligned(path: Path, found: Mapping[tuple[str, str], Samples]) -> Bench:
-    """Return the log of a bench in the time of the capture. Raises SetupError where no or several offsets fit."""
+    """Return the log of a bench in the time of the capture. Raises CaptureError where no or several offsets fit."""
     times, speed, columns = read(path)
     there, results = np.isfinite(speed), []
     theirs = _grid(times[there], np.abs(speed[there]))
@@ -210,11 +212,11 @@ def aligned(path: Path, found: Mapping[tuple[str, str], Samples]) -> Bench:
     results.sort(key=lambda each: -each[0])
     if not results or results[0][0] < LEAST:
         best = f"; the best correlation is {results[0][0]:.2f}" if results else ""
-        raise SetupError(f"{path}: its speed fits no controller{best}, {LEAST} is needed: is it of this run?")
+        raise CaptureError(f"{path}: its speed fits no controller{best}, {LEAST} is needed: is it of this run?")
     fit, offset, who, own_line = results[0]
     for other, where, whose, _ in results[1:]:
         if other > SECOND * fit and (whose != who or abs(where - offset) > BETWEEN):
-            raise SetupError(
+            raise CaptureError(
                 f"{path}: ambiguous, offsets of {offset:.2f} s on {who} and {where:.2f} s on {whose} fit alike "
                 f"({fit:.3f}, {other:.3f}): log a step of the speed that comes once, or cut the log"
             )

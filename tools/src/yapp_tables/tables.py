@@ -5,7 +5,6 @@ Of a column: title, unit, display filter, role, and as JSON the meanings of an e
 "clock", "enum", "flags", "flag" or "text" (also an enum's meaning, a reserved value's name).
 """
 
-import csv
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
@@ -17,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
 
-from .tshark import Export, Record
+from .tshark import Record
 
 # The version of a data set, `schema` in the metadata of each table: raised when a column gets another name, type or
 # meaning.
@@ -106,56 +105,34 @@ def catalogue_version(fields: Record) -> str:
     return f"{', '.join(fields['messages'])} ({hashlib.sha256(text.encode()).hexdigest()[:8]})"
 
 
-def read_rows(export: Export, name: str, flight: Record) -> pa.Table:
-    """Return the rows of one message in an export. flight: {"source_file", "flight_id"}."""
-    schema = messages(export.fields)[name]
-    less = {each["name"]: (each["of"], each["less"]) for each in differences(export.fields["messages"][name])}
-    given = _read_csv(export.csv(name), schema)
-    count = len(given["time"])
-    given |= {key: repeated(text, count) for key, text in flight.items()} | {"controller": given["source"]}
-    for field in schema:
-        if field.name in less:
-            # Nine digits: 0.3, not 0.30000000000000004, for 0.8 less 0.5.
-            both = (given[part].cast(pa.float64()) for part in less[field.name])
-            given[field.name] = pc.round(pc.subtract(*both), 9)
-        elif field.type in (TIME, DURATION) and field.name in given:
-            # Seconds as text with nine digits are nanoseconds once the point is gone.
-            given[field.name] = pc.replace_substring(given[field.name], ".", "").cast(pa.int64()).cast(field.type)
-    cells = [given[each.name] if each.name in given else pa.nulls(count, each.type) for each in schema]
-    return pa.table(cells, schema=schema).unify_dictionaries()
-
-
-def _read_csv(path: Path, schema: pa.Schema) -> dict[str, Any]:
-    """Return the columns of a table of the plugin, times as text. An empty cell is null."""
-    with path.open(encoding="utf-8", newline="") as file:
-        names = [name for name in next(csv.reader(file)) if name in schema.names]
+def read_rows(path: Path, schema: pa.Schema, entry: Record, flight: Record) -> pa.Table:
+    """Return the rows of a message, of the plugin's CSV. entry: of fields.json; flight: source_file and flight_id."""
     types = {field.name: pa.string() if field.type in (TIME, DURATION) else field.type for field in schema}
-    has_text = any(types[name] == pa.string() and name != "time" for name in names)
-    found = arrow_csv.read_csv(
+    given = arrow_csv.read_csv(
         path,
         # One thread: a fleet has a capture for every core.
         read_options=arrow_csv.ReadOptions(use_threads=False),
-        parse_options=arrow_csv.ParseOptions(newlines_in_values=has_text),
+        parse_options=arrow_csv.ParseOptions(newlines_in_values=pa.string() in [field.type for field in schema]),
         convert_options=arrow_csv.ConvertOptions(
-            column_types={name: types[name] for name in names},
-            include_columns=names,
+            column_types=types,
+            include_columns=schema.names,
+            include_missing_columns=True,
             null_values=[""],
             strings_can_be_null=True,
             quoted_strings_can_be_null=False,
         ),
     )
-    return dict(zip(found.schema.names, found.columns, strict=True))
-
-
-def present(export: Export) -> list[str]:
-    """Return the messages that the export has rows of, in the catalogue's order: more than a header."""
-
-    def has_rows(path: Path) -> bool:
-        with path.open("rb") as file:
-            return len(list(zip(range(2), file, strict=False))) == 2
-
-    paths = {name: export.csv(name) for name in export.fields["messages"]}
-    return [name for name, path in paths.items() if path.is_file() and has_rows(path)]
+    columns = dict(zip(schema.names, given.columns, strict=True))
+    columns |= {key: repeated(text, len(given)) for key, text in flight.items()} | {"controller": columns["source"]}
+    for name in (name for name, type_ in types.items() if type_ != schema.field(name).type):
+        # Seconds as text with nine digits are nanoseconds once the point is gone.
+        whole = pc.replace_substring(columns[name], ".", "").cast(pa.int64())
+        columns[name] = whole.cast(schema.field(name).type)
+    for each in differences(entry):
+        # Nine digits: 0.3, not 0.30000000000000004, for 0.8 less 0.5.
+        both = (columns[each[part]].cast(pa.float64()) for part in ("of", "less"))
+        columns[each["name"]] = pc.round(pc.subtract(*both), 9)
+    return pa.table(list(columns.values()), schema=schema).unify_dictionaries()
 
 
 def plain(table: pa.Table) -> pa.Table:
@@ -266,12 +243,6 @@ def _cell(type_: pa.DataType, value: Any) -> Any:
     if type_ in (KIND, pa.string()):
         return str(value)
     return float(value) if isinstance(value, Decimal) else value
-
-
-def faults(events: pa.Table, columns: pa.Schema) -> pa.Table:
-    """Return the flags that were raised and cleared, of all events."""
-    is_fault = pc.equal(events["kind"].cast(pa.string()), "fault")
-    return events.filter(is_fault).select([name for name in columns.names if name in events.schema.names])
 
 
 def to_write(name: str, rows: pa.Table, flight: Record) -> pa.Table:

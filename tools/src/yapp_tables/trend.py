@@ -5,7 +5,6 @@ import html
 import json
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,46 +27,15 @@ LEAST = {"A": 0.02, "°C": 2.0, "%": 3.0, "lag": 0.02, "sag": 0.02, "lost": 0.00
 Key = tuple[str, str, str, str]  # controller, title, unit, key of LEAST
 
 
-@dataclass
-class Drift:
-    """A value of a controller over its flights. flights: their names; values: (n); per_flight, low, high: the slope and
-    its 95 % interval; is_sure: whether it drifts, judged for all values together."""
-
-    controller: str
-    title: str
-    unit: str
-    flights: list[str]
-    values: Array
-    per_flight: float
-    low: float
-    high: float
-    is_sure: bool
-
-    def sentence(self) -> str:
-        """Return it for people."""
-        count = len(self.values)
-        whole = self.per_flight * (count - 1)
-        ends = self.low * (count - 1), self.high * (count - 1)
-        scale, unit = (100.0, "%") if self.unit == "x" else (1.0, self.unit)
-        text = f"{whole * scale:+.3g} {unit} over {count_of(count, 'flight')}"
-        return f"{self.controller}: {self.title} {text} ({ends[0] * scale:+.3g} to {ends[1] * scale:+.3g})"
-
-    def record(self) -> Record:
-        """Return a JSON line."""
-        known = {name: value for name, value in vars(self).items() if name not in ("flights", "values")}
-        return known | {"flights": len(self.values), "first": self.flights[0], "last": self.flights[-1]}
-
-
-@dataclass
-class Trend:
-    """The values of all controllers, what drifts first; notes: sentences on what is not told."""
-
-    drifts: list[Drift]
-    notes: list[str]
+# The values of all controllers, what drifts first, each as a JSON line has it; sentences on what is not told.
+Trend = tuple[list[Record], list[str]]
 
 
 def drifts(data: Path) -> Trend:
-    """Return the values of all controllers over the flights of a data set of Parquet files. Raises SetupError."""
+    """Return what drifts over the flights of a data set of Parquet files. Raises SetupError.
+
+    per_flight, low, high: the slope and its 95 % interval; is_sure: whether it drifts, judged for all values together.
+    """
     rows: dict[Key, list[tuple[str, Array, Array]]] = defaultdict(list)
     values: dict[Key, list[tuple[str, float]]] = defaultdict(list)
     for flight, found, summary in _flights(data):
@@ -89,13 +57,14 @@ def drifts(data: Path) -> Trend:
         per_flight, low, high = slope(numbers, line)
         _, sure_low, sure_high = slope(numbers, line, CHANCE / len(told))
         is_sure = not sure_low <= 0 <= sure_high and abs(per_flight) * (len(line) - 1) >= LEAST[least]
-        names = [name for name, _ in each]
-        drifting.append(Drift(who, title, unit, names, line, per_flight, low, high, is_sure))
+        row = {"controller": who, "title": title, "unit": unit, "per_flight": per_flight, "low": low, "high": high}
+        row |= {"is_sure": is_sure, "flights": len(line), "first": each[0][0], "last": each[-1][0]}
+        drifting.append(row | {"values": line.tolist()})
     few = {key[0] for key in values} - {key[0] for key in told}
     notes = [f"{who}: fewer than {LEAST_FLIGHTS} comparable flights, no trend" for who in sorted(few)]
     if not values:
         notes.append(f"no flight in {data} has {LEAST_SECONDS:g} s of turning motors")
-    return Trend(sorted(drifting, key=lambda one: (not one.is_sure, one.controller, one.title)), notes)
+    return sorted(drifting, key=lambda row: (not row["is_sure"], row["controller"], row["title"])), notes
 
 
 def _flights(data: Path) -> Iterator[tuple[str, dict[tuple[str, str], Samples], list[Record]]]:
@@ -190,26 +159,34 @@ def _less_others(values: dict[Key, list[tuple[str, float]]]) -> None:
 
 def lines(found: Trend) -> Iterator[str]:
     """Yield the answer as text."""
-    sure = [one for one in found.drifts if one.is_sure]
-    yield from (one.sentence() for one in sure)
-    yield from found.notes
-    yield f"{count_of(len(sure), 'drift')} in {count_of(len(found.drifts), 'value')} of controllers"
+    rows, notes = found
+    sure = [_sentence(row) for row in rows if row["is_sure"]]
+    yield from (*sure, *notes)
+    yield f"{count_of(len(sure), 'drift')} in {count_of(len(rows), 'value')} of controllers"
+
+
+def _sentence(row: Record) -> str:
+    scale, unit = (100.0, "%") if row["unit"] == "x" else (1.0, row["unit"])
+    whole, low, high = (row[name] * scale * (row["flights"] - 1) for name in ("per_flight", "low", "high"))
+    text = f"{whole:+.3g} {unit} over {count_of(row['flights'], 'flight')} ({low:+.3g} to {high:+.3g})"
+    return f"{row['controller']}: {row['title']} {text}"
 
 
 def json_lines(found: Trend) -> Iterator[str]:
     """Yield a JSON line for each value of each controller."""
-    return (json.dumps(one.record(), ensure_ascii=False) for one in found.drifts)
+    return (json.dumps(row, ensure_ascii=False) for row in found[0])
 
 
 def page(found: Trend) -> str:
     """Return a page with one small picture a value, a row a controller."""
-    sure = [("worse", one.sentence()) for one in found.drifts if one.is_sure]
-    titles = list(dict.fromkeys(one.title for one in found.drifts))
-    rows = [f"<tr><th>controller</th>{''.join(f'<th>{html.escape(title)}</th>' for title in titles)}</tr>"]
-    for who in sorted({one.controller for one in found.drifts}):
-        own = {one.title: pages.dots(one.values, one.per_flight, one.sentence(), one.is_sure)
-               for one in found.drifts if one.controller == who}  # fmt: skip
+    rows, notes = found
+    sure = [("worse", _sentence(row)) for row in rows if row["is_sure"]]
+    titles = list(dict.fromkeys(row["title"] for row in rows))
+    lines = [f"<tr><th>controller</th>{''.join(f'<th>{html.escape(title)}</th>' for title in titles)}</tr>"]
+    for who in sorted({row["controller"] for row in rows}):
+        own = {row["title"]: pages.dots(np.array(row["values"]), row["per_flight"], _sentence(row), row["is_sure"])
+               for row in rows if row["controller"] == who}  # fmt: skip
         cells = "".join(f"<td>{own.get(title, '')}</td>" for title in titles)
-        rows.append(f"<tr><th>{html.escape(who)}</th>{cells}</tr>")
-    lists = [pages.listed(sure or [("", "nothing drifts")]), pages.listed([("pale", note) for note in found.notes])]
-    return pages.page("Trend over flights", [*lists, f"<table>{''.join(rows)}</table>"])
+        lines.append(f"<tr><th>{html.escape(who)}</th>{cells}</tr>")
+    lists = [pages.listed(sure or [("", "nothing drifts")]), pages.listed([("pale", note) for note in notes])]
+    return pages.page("Trend over flights", [*lists, f"<table>{''.join(lines)}</table>"])

@@ -28,9 +28,6 @@ PLUGIN_SAYS = "yapp: "
 COPIES = re.compile(r"^\d+ messages? (was|were) recorded twice")
 # Exit codes: a rule does not hold; a statistic leaves something out.
 BROKEN, UNDECIDED = 20, 21
-UNRELIABLE = (
-    "two controllers share an ID, or buses cannot be told apart: their faults, reboots and silences are left out"
-)
 
 Record = dict[str, Any]
 
@@ -49,15 +46,6 @@ class Export:
     partial: str | None = None
     lacks: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-
-    def csv(self, message: str) -> Path:
-        """Where the rows of a message are, whether or not there are any."""
-        return self.folder / f"{message}.csv"
-
-    @property
-    def left_out(self) -> list[str]:
-        """Return sentences on all that it lacks; empty where it is complete."""
-        return [*([f"read in part: {self.partial}"] if self.partial else []), *self.lacks]
 
 
 @dataclass(frozen=True)
@@ -93,8 +81,6 @@ class Tshark:
         lines = _said(done)
         notes = tuple(line for line in lines if COPIES.search(line))
         lacks = tuple(line for line in lines if line not in notes)
-        if done.returncode == UNDECIDED and not lacks:
-            lacks = (UNRELIABLE,)
         records: dict[str, list[Record]] = {name: [] for name in ("check", "events", "buses", "summary")}
         keys = {"rule": "check", "kind": "events", "yapp": "buses"}  # of the others' lines
         for record in _json_lines(done.stdout):
@@ -125,18 +111,6 @@ class Tshark:
                 # Nothing is wrong with this capture: it is the plugin that refuses, a filter for example.
                 raise SetupError(str(error).removeprefix(f"{empty}: ")) from error
 
-    def begin(self, capture: Path) -> int | None:
-        """The time of a capture's first packet, whatever it is, in nanoseconds since 1970; None where none is told."""
-        text = self.run(capture, ["-c", "1", "-T", "fields", "-e", "frame.time_epoch"]).strip()
-        return int(Decimal(text).scaleb(9)) if re.fullmatch(r"\d+\.\d+", text) else None
-
-    def packets(self, capture: Path, names: Sequence[str]) -> list[tuple[str, ...]]:
-        """Return fields of the packets that end a message, ("yapp.id", ...): each combination once."""
-        wanted = [word for name in names for word in ("-e", name)]
-        text = self.run(capture, ["-Y", names[-1], "-T", "fields", "-E", "occurrence=l", *wanted])
-        rows = dict.fromkeys(tuple(line.split("\t")) for line in text.splitlines())
-        return [row for row in rows if len(row) == len(names) and all(row[1:])]
-
     def run(self, capture: Path, options: Sequence[str]) -> str:
         """Return what tshark prints of a capture with these options."""
         return _run([*self._reading(capture), *options]).stdout
@@ -144,7 +118,11 @@ class Tshark:
     def _reading(self, capture: Path) -> list[str]:
         command = [self.find(), "-r", str(capture.resolve())]
         if self.plugin is not None:
-            command += ["-X", f"lua_script:{self._plugin()}"]
+            path = Path(self.plugin)
+            script = path / "yapp.lua" if path.is_dir() else path
+            if not script.is_file():
+                raise SetupError(f"no plugin at {path}: --plugin names the plugin's yapp.lua")
+            command += ["-X", f"lua_script:{script.resolve()}"]
         if self.profile is not None:
             command += ["-C", self.profile]
         for option in self.options:
@@ -164,13 +142,6 @@ class Tshark:
             what = f"{self.tshark} is no program that can be run" if self.tshark else "tshark was not found"
             raise SetupError(f"{what}: {INSTALL_TSHARK}")
         return os.path.abspath(found)
-
-    def _plugin(self) -> Path:
-        path = Path(self.plugin or "")
-        script = path / "yapp.lua" if path.is_dir() else path
-        if not script.is_file():
-            raise SetupError(f"no plugin at {path}: --plugin names the plugin's yapp.lua")
-        return script.resolve()
 
     def _refusal(self, capture: Path, done: subprocess.CompletedProcess[str], written: bool) -> str | None:
         """None where all went well, the reason where part of the capture was read; raises where nothing was."""

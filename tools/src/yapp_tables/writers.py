@@ -2,7 +2,6 @@
 """Parquet and CSV: a file for each message, partitioned as `message=motor/flight-1a2b3c4d.parquet`."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
@@ -16,32 +15,23 @@ from .tables import DURATION, KIND, is_message, plain
 ROW_GROUP = 100_000
 
 
-@dataclass(frozen=True)
-class Target:
-    """Where a writer writes. folder: for its files; name: of the files; url: of the whole data set."""
-
-    folder: Path
-    name: str
-    url: str
-    flight_id: str
-
-
 Tables = Mapping[str, pa.Table]
-Writer = Callable[[Tables, Target], None]
+# Of the tables of a flight, the path of its files without a suffix, the URL of the data set, and the flight_id.
+Writer = Callable[[Tables, Path, str, str], None]
 
 
-def write_parquet(tables: Tables, target: Target) -> None:
+def write_parquet(tables: Tables, path: Path, *_: str) -> None:
     """Write Parquet with row groups of at most ROW_GROUP rows."""
     for name, rows in tables.items():
-        pq.write_table(rows, _path(target, name, "parquet"), ROW_GROUP, compression="zstd")
+        pq.write_table(rows, _path(path, name, "parquet"), ROW_GROUP, compression="zstd")
 
 
-def write_csv(tables: Tables, target: Target) -> None:
+def write_csv(tables: Tables, path: Path, *_: str) -> None:
     """Write CSV with one header row; time as UTC with nine digits, lengths in seconds; absent values are empty."""
     for name, rows in tables.items():
         cells = [seconds(each) if each.type == DURATION else each for each in rows.columns]
         cells = [each.cast(pa.string()) if each.type == KIND else each for each in cells]
-        arrow_csv.write_csv(pa.table(cells, rows.schema.names), _path(target, name, "csv"))
+        arrow_csv.write_csv(pa.table(cells, rows.schema.names), _path(path, name, "csv"))
 
 
 def seconds(cells: pa.ChunkedArray) -> pa.ChunkedArray:
@@ -49,10 +39,10 @@ def seconds(cells: pa.ChunkedArray) -> pa.ChunkedArray:
     return pc.divide(cells.cast(pa.int64()).cast(pa.float64()), 1e9)
 
 
-def _path(target: Target, name: str, suffix: str) -> Path:
-    path = target.folder / f"message={name}" / f"{target.name}.{suffix}"
-    path.parent.mkdir()
-    return path
+def _path(path: Path, name: str, suffix: str) -> Path:
+    folder = path.parent / f"message={name}"
+    folder.mkdir()
+    return folder / f"{path.name}.{suffix}"
 
 
 # ---- MF4 and MCAP keep each source by itself: four controllers in one channel would be a zigzag
