@@ -113,20 +113,7 @@ def behave(capture, does):
         case "nap":
             time.sleep(0.3)
             wait_while_held(capture.parent)
-        case "slow":
-            read_half(capture)
     return 0
-
-
-def read_half(capture):
-    """Half of the capture is read and two rows are written for as long as a terminal would show it."""
-    Path("csv").mkdir()
-    with capture.open("rb", buffering=0) as file, Path("csv/motor.csv.part").open("w") as rows:
-        file.read(capture.stat().st_size // 2)
-        rows.write("header\n1\n2\n")
-        rows.flush()
-        time.sleep(2.5)
-    Path(rows.name).unlink()
 
 
 def wait_while_held(folder):

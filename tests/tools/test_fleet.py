@@ -82,7 +82,7 @@ def test_a_scheduler_that_dies_is_a_sentence_and_what_was_done_is_kept(fleet):
 
 
 def test_progress_is_a_bar_on_a_terminal_and_a_line_at_the_end_elsewhere(make_capture, tmp_path):
-    make_capture("large.pcap", motor=[motor_row(n) for n in range(3000)], does=["slow"])
+    make_capture("large.pcap", motor=[motor_row(n) for n in range(3000)])
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 100, 0, 0))
     command = ["convert", "large.pcap", "--to", "parquet", "--out", "data", "--tshark", FAKE]

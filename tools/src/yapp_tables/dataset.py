@@ -65,10 +65,11 @@ class DataSet:
         self.url: str = self.fs.unstrip_protocol(self.path)
 
     def open(self) -> None:
-        """Make the folders; SetupError where they cannot be written, or hold results of another version."""
+        """Make the folder of notes; SetupError where it cannot be written, or has results of another version."""
         try:
-            for folder in (self.path, f"{self.notes}/version"):
-                self.fs.makedirs(folder, exist_ok=True)
+            if self.fs.isfile(self.path):
+                raise FileExistsError("it is a file")
+            self.fs.makedirs(f"{self.notes}/version", exist_ok=True)
             # In this order: others open it at the same time, and note a flight only behind the version.
             is_empty = not self.fs.glob(f"{self.notes}/*.json")
             version = (self._read("version/schema") or {}).get("version", "5 or older")

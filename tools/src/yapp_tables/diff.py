@@ -242,8 +242,6 @@ def _at_load(pair: Pair) -> Iterator[_Measured]:
     """Compare each value at equal load."""
     one, load = pair.sides[0], pair.load()
     for name, kind in dependent(one) if one.names("clock") else ():
-        if name not in pair.sides[1].columns:
-            continue
         values = pair.column(name)
         terms, good = None, np.isfinite(values)
         if load:
@@ -251,9 +249,8 @@ def _at_load(pair: Pair) -> Iterator[_Measured]:
             terms, good = load.curve(unit, kind == "°C"), good & load.common(pair.is_after)
         shown, good = comparable(values, good, kind)
         if result := pair.change(shown, good, terms):
-            usual = [_usual(pair, side, name, kind == "A") for side in (0, 1)] if kind != "%" else []
-            has_others = all(map(len, usual)) and kind != "%"
-            beside = pair.change(shown - np.concatenate(usual), good, terms) if has_others else None
+            usual = [_usual(pair, side, name, kind == "A") for side in (0, 1) if kind != "%"]
+            beside = pair.change(shown - np.concatenate(usual), good, terms) if usual and all(map(len, usual)) else None
             base = float(values[good & ~pair.is_after].mean())
             title, unit_ = one.title_of(name), one.unit_of(name)
             yield _Measured(pair.controller, title, unit_, kind, result, base, pair.typical(good, values), beside)
@@ -267,7 +264,7 @@ def _usual(pair: Pair, side: int, name: str, is_multiple: bool) -> Array:
     """
     lines, own = [], pair.sides[side]
     for (who, message), one in pair.runs[side].samples.items():
-        if message == own.message and who != own.controller and name in one.columns:
+        if message == own.message and who != own.controller:
             good = np.isfinite(one.columns[name])
             level = float(np.nanmedian(pair.runs[0].samples[who, message].columns[name]))
             if good.sum() > 50 and (level > 0 or not is_multiple):

@@ -95,7 +95,7 @@ class Flight(Mapping[str, pa.Table]):
         asked = {each.removesuffix("_commanded") for each in commands}
         following = {name: self[name] for name, schema in self.messages.items()
                      if {*commands, *asked} & set(schema.names)}  # fmt: skip
-        start = min((pc.min(rows["time"]).value for rows in following.values()), default=0)
+        start = self.start()
         found = samples(following, start=start)
         bench = aligned(log, found) if log else None
         if bench:
@@ -105,11 +105,7 @@ class Flight(Mapping[str, pa.Table]):
         def timed(rows: Iterator[Record], schema: pa.Schema) -> pa.Table:
             return table((row | {"time": Decimal(start + round(row["at"] * 1e9)).scaleb(-9)} for row in rows), schema)
 
-        records = {
-            "events": self.events,
-            "faults": self.faults,
-            "summary": self.summary,
-            "buses": self.buses,
+        records = {name: getattr(self, name) for name in ("events", "faults", "summary", "buses")} | {
             "steps": timed(steps(found), self.records["steps"]),
             "points": timed(points(found, bench), pa.schema([*self.records["points"], *columns])),
             "flights": pa.Table.from_pylist([self._row(capture, options)], self.records["flights"]),

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from .changes import command_of, slope
+from .changes import command_of
 from .errors import CaptureError, SetupError
 from .series import DEGREES, Array, Samples, numbers
 from .tshark import Record
@@ -220,10 +220,9 @@ def aligned(path: Path, found: Mapping[tuple[str, str], Samples]) -> Bench:
                 f"{path}: ambiguous, offsets of {offset:.2f} s on {who} and {where:.2f} s on {whose} fit alike "
                 f"({fit:.3f}, {other:.3f}): log a step of the speed that comes once, or cut the log"
             )
-    rate, offset = _clock(own_line, (times, np.abs(speed)), offset)
-    said = f"{path.name} begins {offset:+.3f} s from the first message, its clock runs {rate * 1e6:+.0f} ppm"
-    said += f" (correlation {fit:.3f} with the speed of {who})"
-    return Bench(who, times * (1 + rate) + offset, columns, said)
+    offset = _exact(own_line, (times, np.abs(speed)), offset)
+    said = f"{path.name} begins {offset:+.3f} s from the first message (correlation {fit:.3f} with the speed of {who})"
+    return Bench(who, times + offset, columns, said)
 
 
 def _grid(times: Array, values: Array) -> Array:
@@ -256,22 +255,11 @@ def _fits(own: Array, theirs: Array) -> list[tuple[float, float]]:
     return found
 
 
-def _clock(own: tuple[Array, Array], log: tuple[Array, Array], offset: float) -> tuple[float, float]:
-    """Return how much faster the capture's clock runs, and the offset, from the best offsets of parts of the log.
-
-    own, log: times and speeds.
-    """
-    times, speed = log
-    length, tries = max(10.0, times[-1] / 12), np.arange(-1.0, 1.001, 0.01)
-    parts = []
-    for begin in np.arange(0, times[-1] - length / 2, length):
-        inside = (times >= begin) & (times < begin + length) & np.isfinite(speed)
-        inside &= (times + offset > own[0][0]) & (times + offset < own[0][-1])
-        if inside.sum() >= LEAST_ROWS and np.std(speed[inside]) > 0.02 * np.nanmax(speed):
-            lines = np.stack([np.interp(times[inside] + offset + each, *own) for each in tries])
-            scale = lines.sum() / len(tries) / max(speed[inside].sum(), 1e-9)
-            sums = ((lines - scale * speed[inside]) ** 2).sum(axis=1)
-            parts.append((begin + length / 2, offset + tries[int(np.argmin(sums))]))
-    middles, offsets = np.array(parts or [(0.0, offset)]).T
-    rate = slope(middles, offsets)[0] if len(parts) > 3 else 0.0
-    return rate, float(np.median(offsets - rate * middles))
+def _exact(own: tuple[Array, Array], log: tuple[Array, Array], offset: float) -> float:
+    """Return the offset near this one at which both speeds differ least. own, log: times and speeds."""
+    there = np.isfinite(log[1]) & (log[0] + offset > own[0][0]) & (log[0] + offset < own[0][-1])
+    times, speed = (values[there] for values in log)
+    tries = np.arange(offset - GRID, offset + GRID, GRID / 10)
+    lines = np.stack([np.interp(times + each, *own) for each in tries])
+    scale = lines.mean(axis=0).sum() / max(speed.sum(), 1e-9)
+    return float(tries[np.argmin(((lines - scale * speed) ** 2).sum(axis=1))])
