@@ -17,10 +17,12 @@ local SECOND, MILLISECOND = 1000000000, 1000000 -- nanoseconds
 
 -- Times -------------------------------------------------------------------------------------------
 
-local MONTHS = {
-  jan = 1, feb = 2, mar = 3, apr = 4, may = 5, jun = 6, jul = 7, aug = 8, sep = 9, oct = 10,
-  nov = 11, dec = 12,
-}
+local MONTHS = {} -- { jan = 1, feb = 2, ... }
+for month, name in ipairs {
+  "jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec",
+} do
+  MONTHS[name] = month
+end
 local DATE = "(%a+) (%d%d?) (%d%d?):(%d%d):(%d%d)%.?(%d?%d?%d?)%d* ?([ap]?)m? (20%d%d)"
 local HALVES = { a = 0, p = 12 } -- of a day
 
@@ -99,7 +101,7 @@ local function read_flexible(log, channel, direction, id, rest)
   local record = new_record(log, channel, id, direction)
   local brs, esi, length, data = rest:match("^" .. FLEXIBLE)
   if not brs then brs, esi, length, data = rest:match("^%S+%s+" .. FLEXIBLE) end
-  if not length or #length > 2 then return nil end
+  if not length then return nil end
   local stop
   record.data, stop = text.parse_bytes(data, tonumber(length), BYTE, log.base)
   local flags = tonumber(data:match("^%s*%d+%s+%d+%s+(%x+)", stop) or "1000", 16)

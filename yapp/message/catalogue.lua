@@ -19,7 +19,7 @@
 -- offset, size in bytes, type, unit or nil, shape (a format with as many digits as its
 -- count can carry; nil for integers), rounded (a format with as many as people read, or nil), and
 -- kind, with the values that its kind needs:
---   uint, int  bottom, top (lowest and highest count); values, invalid (its expert item)
+--   uint, int  top (the highest count), is_unsigned; values, invalid (its expert item)
 --   scaled     the same, and scale, zero: value = count * scale + zero
 --   flags      flags { name, mask, title, filter, help or nil }, group, undefined (mask: bits that
 --              nothing defines), alarm_bits (mask: bits that are faults)
@@ -41,7 +41,7 @@ local M = {}
 
 -- Types of fields and options --------------------------------------------------------------------
 
--- [name] = { kind, size in bytes (nil: the row's length), bottom, top }
+-- [name] = { kind, size in bytes (nil: the row's length), top, is_unsigned }
 local TYPES = {
   int64_ns = { kind = "time", size = 8 },
   string = { kind = "string" },
@@ -51,17 +51,17 @@ local TYPES = {
 }
 
 -- COMPAT 5.4: powers are floats there, which are printed with a ".0".
-local function add_type(kind, size, bottom, top)
+local function add_type(kind, size, top)
   TYPES[kind .. 8 * size] =
-    { kind = kind, size = size, bottom = math.floor(bottom), top = math.floor(top) }
+    { kind = kind, size = size, top = math.floor(top), is_unsigned = kind ~= "int" }
 end
 
 for size = 1, 8 do
   local span = 2 ^ (8 * size)
-  add_type("int", size, -span / 2, span / 2 - 1)
-  add_type("uint", size, 0, span - 1)
+  add_type("int", size, span / 2 - 1)
+  add_type("uint", size, span - 1)
 end
-for _, size in ipairs { 1, 2, 4 } do add_type("float", size, 0, 2 ^ (8 * size) - 1) end
+for _, size in ipairs { 1, 2, 4 } do add_type("float", size, 2 ^ (8 * size) - 1) end
 
 -- Return { [name of an option] = its type in Lua }.
 -- names  { [type] = names }
@@ -129,7 +129,7 @@ end
 -- min and max make a compressed float of the bytes; without them float32 is IEEE 754's.
 local function add_range(field, row)
   if field.size == 4 and not row.min then
-    field.kind, field.bottom, field.top, field.shape = "ieee", nil, nil, "%.7g"
+    field.kind, field.is_unsigned, field.top, field.shape = "ieee", nil, nil, "%.7g"
     return
   end
   demand(row.min and row.max and row.min < row.max, "min and max are missing, or no range")
@@ -174,7 +174,7 @@ local function add_field(message_type, row, definition, offset, size)
     offset = offset,
     size = size,
     top = definition.top,
-    bottom = definition.bottom,
+    is_unsigned = definition.is_unsigned,
     unit = row.unit,
     index = #message_type.fields + 1,
   }

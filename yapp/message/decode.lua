@@ -26,7 +26,7 @@ local REMARK = "a = raws[%d] if a and %s then remarks = add_remarks(remarks, FIE
 -- Return the raw value of the i-th field as source: nil if the payload ends before it.
 local function raw_source(field, i)
   local last, value = field.offset + field.size, {}
-  if last > MAX_KEPT or field.size > 6 or field.bottom ~= 0 then
+  if last > MAX_KEPT or field.size > 6 or not field.is_unsigned then
     local read = "#payload >= %d and KINDS.%s.read(FIELDS[%d], payload) or nil"
     return format(read, last, field.kind, i)
   end

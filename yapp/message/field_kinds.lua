@@ -103,7 +103,7 @@ end
 -- The kinds --------------------------------------------------------------------------------------
 
 local function read_integer(field, payload)
-  return binary.integer(payload, field.offset + 1, field.size, field.bottom < 0)
+  return binary.integer(payload, field.offset + 1, field.size, not field.is_unsigned)
 end
 
 local function read_bytes(field, payload)

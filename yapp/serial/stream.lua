@@ -47,8 +47,8 @@ local function new_contents(packet, findings)
     findings = findings,
     pending = 0,
     packet = packet, -- nil once its bytes are added
-    overlap = 0,     -- number of its bytes that had come before
-    from = 0,        -- offset in the stream of the others, once they are added
+    overlap = nil,   -- once its bytes are added: number of those that had come before
+    from = 0,        -- and offset in the stream of the others
     to = 0,
   }
 end
