@@ -32,7 +32,8 @@ ENDS = {"if": "then", "elseif": "then", "while": "do"}
 # No statement of its own, or one without which a local variable is nil; a field that is nil or false documents itself.
 NO_STATEMENT = re.compile(r"\s*(?:$|--|\"|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|\w+ = (?:nil|false),|[\])}{]|"
                           r".*[,({]\s*$)")
-SECONDS, MEMORY = 60, 2 * 2**30  # of CPU, and bytes: a fault may make a loop endless
+LUAS = ["lua5.4", "lua5.2"]
+SECONDS, MEMORY = 15, 2**29  # of CPU, four times what the longest takes, and bytes: a fault may make a loop endless
 # Mutants remove, rename and write files of any name: never as root.
 NOBODY = pwd.getpwnam("nobody")
 USER = {"user": NOBODY.pw_uid, "group": NOBODY.pw_gid, "extra_groups": []} if os.geteuid() == 0 else {}
@@ -86,11 +87,11 @@ def sample(path, each, seed):
     return chosen
 
 
-def passes(folder, test):
+def passes(folder, test, lua):
     """Whether a file of unit tests passes in a copy of the tree."""
-    return all(subprocess.run(["prlimit", f"--cpu={SECONDS}", f"--as={MEMORY}", lua, "tests/unit/run.lua", test], cwd=folder, check=False,
-                              stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "YAPP_FIRST_FAILURE": "1"},
-                              **USER).returncode == 0 for lua in ("lua5.4", "lua5.2"))
+    return subprocess.run(["prlimit", f"--cpu={SECONDS}", f"--as={MEMORY}", lua, "tests/unit/run.lua", test], cwd=folder, check=False,
+                          stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "YAPP_FIRST_FAILURE": "1"},
+                          **USER).returncode == 0
 
 
 def survives(folder, path, mutant, tests):
@@ -98,7 +99,7 @@ def survives(folder, path, mutant, tests):
     whole = (folder / path).read_text()
     (folder / path).write_text(mutant)
     try:
-        return all(passes(folder, test) for test in tests)
+        return all(passes(folder, test, lua) for lua in LUAS for test in tests)
     finally:
         (folder / path).write_text(whole)
 
@@ -143,7 +144,7 @@ def main():
             seen, every = seen + len(rows) - len(alive), every + len(rows)
             if len(alive) * 100 > len(rows) * (100 - options.least):
                 weak.append(str(path))
-        assert all(passes(free.queue[0], test) for test in TESTS), "the unit tests fail without a fault"
+        assert all(passes(free.queue[0], test, lua) for lua in LUAS for test in TESTS), "the unit tests fail without a fault"
     print(f"mutate: seed {options.seed}, {seen} of {every} seen, {100 * seen / every:.1f} %; below {options.least:g} %: {', '.join(weak) or 'none'}")
     return 1 if weak else 0
 

@@ -32,7 +32,6 @@ MOTOR = ("torque_iq_commanded torque_iq_measured rpm_commanded rpm_measured dc_v
          "status_flags fault_flags timestamp motor_state esc_temperature").split()
 VALUES = ["-T", "fields", *(word for name in MOTOR for word in ("-e", f"taurus.motor.{name}"))]
 FAULT = ["-Y", "taurus.motor.fault.motor_overcurrent"]
-LIMIT = 3600  # seconds of one run
 Work = collections.namedtuple("Work", "title capture options peer goal", defaults=("none", None))
 WORKS = [
     Work("packet list", "yapp.pcap", [], "hand", 1.2),

@@ -54,6 +54,13 @@ def test_every_field_says_what_it_is():
     assert about[f"{name}.special"].startswith("Why there is no number") and "DC Voltage in V" in about[f"{name}.special"]
 
 
+def test_the_page_of_columns():
+    """docs/columns.md, which yapp-tables makes, says what each column is."""
+    tables, page = published.inventory()["statistics"], (tshark.ROOT / "docs/columns.md").read_text()
+    columns = [column for name in ("summary", "faults", "events", "buses") for column in tables[name]["columns"]]
+    assert [one["name"] for one in columns if one["help"] not in page and one["type"] != "values"] == [], "run make regenerate"
+
+
 @pytest.mark.parametrize("sort", ["rules", "kinds", "statistics", "preferences"])
 def test_every_row_says_what_it_is(sort):
     rows = published.inventory()[sort]

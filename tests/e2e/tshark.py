@@ -112,13 +112,6 @@ def run(*arguments, plugin=True, stdin=None, cwd=None, env=None, check=True, lua
     return done
 
 
-def assert_no_lua_errors(capture, *arguments, passes=((), ("-2",))):
-    """No dissector failed in Lua: such an error shows only as an item of the packet."""
-    for options in passes:
-        found = run(*options, *arguments, "-r", capture, "-Y", "_ws.lua.error", "-T", "fields", "-e", "frame.number")
-        assert found.stdout == "", f"Lua error in frames {found.stdout.split()} of {capture}"
-
-
 def fields(capture, names, *arguments, occurrence="a", separator="\t"):
     """The fields of each frame: a list of lists, as -T fields prints them; several values are joined by commas.
 

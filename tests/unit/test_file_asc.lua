@@ -133,6 +133,12 @@ function T.test_times()
   lu.assertEquals(times(relative .. "0.25 Start of measurement\n" .. frame .. frame), "0.751000000 1.251000000")
   -- Nanoseconds add up.
   lu.assertStrContains(times(relative .. ("0.001000600 1 123 Rx d 0\n"):rep(1000)), " 1.001600000")
+  for month, name in ipairs { "Jan", "feb", "MAR", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec" } do
+    local hour = month * 7 % 24
+    local date = ("Sun %s 3 %d:05:09.004 %s 2024"):format(name, (hour + 11) % 12 + 1, hour < 12 and "am" or "pm")
+    local seconds = os.time { year = 2024, month = month, day = 3, hour = hour, min = 5, sec = 9 }
+    lu.assertEquals(frames("date " .. date .. "\nbase hex  timestamps absolute\n" .. frame)[1].seconds, seconds, date)
+  end
   -- python-can's: the date is when the file was made.
   local block = "Begin Triggerblock Tue Nov 14 22:13:20.1 2023\n"
   lu.assertEquals(times(HEAD:gsub("2023", "2026") .. block .. frame), "0.501000000")

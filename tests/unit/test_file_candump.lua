@@ -36,6 +36,9 @@ function T.test_deltas_are_added_up()
   local frames = frames_of(screen({ "000.000000", "000.900000", "000.200000", "000.000100", "002.000000" }))
   lu.assertEquals(times(frames),
     { "0.000000000", "0.900000000", "1.100000000", "1.100100000", "3.100100000" })
+  -- Since the first frame they climb, if a recorder gives several frames one stamp, too.
+  lu.assertEquals(times(frames_of(screen({ "000.000000", "000.000000", "000.900000", "000.900000" }))),
+    { "0.000000000", "0.000000000", "0.900000000", "0.900000000" })
 end
 
 -- Reading again at any offset gives the same record, in any order of reading.

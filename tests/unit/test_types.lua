@@ -124,6 +124,7 @@ function T.test_each_bit_alone()
   local flags = { { "a", 0x1, "A" }, { "b", 0x6, "B", alarm = true } }
   for alarm, defined in pairs { [false] = 0x1, [true] = 0 } do
     local m = message(1, { "f", "uint8", "F", group = "g", flags = flags, alarm = alarm or nil })
+    lu.assertEquals(text_of.flag_names(m.fields[1], 0x3), alarm and "a, b" or "b, a") -- faults first
     for bit = 0, 7 do
       local _, experts = shown(m, ("%02x"):format(math.floor(2 ^ bit)))
       local is_flag = 2 ^ bit <= 0x4
