@@ -24,7 +24,7 @@ MESSAGE = """\
     name = "battery",
     title = "Battery",
     id = 0x340,
-    size = 14,
+    size = 28,
     every = 0.25,
     info = "{level:%.0f unit}",
     { "clock", "int64_ns", "Clock" },
@@ -32,13 +32,14 @@ MESSAGE = """\
     { "mode", "uint8", "Mode", values = { [0] = "Idle", [1] = "Charging" } },
     { "alarms", "uint8", "Alarms", group = "alarm", alarm = true,
       flags = { { "hot", 0x1, "Hot" }, { "cold", 0x2, "Cold" } } },
-    { "cells", "uint16", "Cells" },
+    { "charge", "float64", "Charge", unit = "Ah" },
+    { "maker", "string", "Maker", length = 8 },
   },
 """
 MODEL = """\
     0x340: Message("battery", "Battery", [
         ("clock", 8, None), ("level", 2, (0, 100, "%")), ("mode", 1, {0, 1}),
-        ("alarms", 1, Flags("alarm", {0x1: "hot", 0x2: "cold"}, 0xFF)), ("cells", 2, Number())], 0.25),
+        ("alarms", 1, Flags("alarm", {0x1: "hot", 0x2: "cold"}, 0xFF)), ("charge", 8, REAL), ("maker", 8, TEXT)], 0.25),
 """
 RULE = """\
   {
@@ -57,7 +58,7 @@ FORM = """\
   },
 """
 MOTOR = "FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000100E38CD23CE04E00000550"
-BATTERY = f"can0 [340 {'00' * 8} F57F 01 01 0700]\n"
+BATTERY = f"can0 [340 {'00' * 8} F57F 01 01 {'00' * 6}F03F {'41' * 8}]\n"
 SCTP = ["-d", "sctp.port==40,yapp_serial", "-T", "fields", "-e", "taurus.motor.dc_voltage"]
 
 

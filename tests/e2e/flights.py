@@ -99,8 +99,8 @@ class Sender:
             if self.chance(0.05):
                 self.flags[field] = self.flags.get(field, 0) ^ rng.choice(list(kind[1]))
             return self.flags.get(field, 0)
-        return next(one for one in range(top) if one not in kind) if model.is_enum(kind) and self.chance(0.02) else \
-            rng.choice(sorted(kind)) if model.is_enum(kind) else rng.randrange(top)
+        return next(one for one in range(top) if one not in kind) if isinstance(kind, set) and self.chance(0.02) else \
+            rng.choice(sorted(kind)) if isinstance(kind, set) else int.from_bytes(kind.make(rng, size), "little")
 
     def step_clock(self, elapsed, stands_still):
         """The controller's clock goes on, begins anew, jumps ahead, or stands still."""
@@ -315,7 +315,7 @@ class Truth:
 def undefined(sender, payload):
     """What the document does not define in a payload: (field, value)."""
     for field, _, kind, count in sender.message.counts(payload) if sender.message else ():
-        if model.is_enum(kind) and count not in kind or model.is_flags(kind) and count & ~sum(kind[1]):
+        if isinstance(kind, set) and count not in kind or model.is_flags(kind) and count & ~sum(kind[1]):
             yield field, count
 
 

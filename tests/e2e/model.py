@@ -4,7 +4,9 @@ formula, and the CRC a bit at a time (test_captures/make.py).
 
 A message is one entry of MESSAGES: filter names, sweeps over its flags and reserved counts, random flights and streams, and
 values follow from it.  Other names are lines of tests/published.txt."""
+import math
 import re
+import struct
 
 import published
 
@@ -65,12 +67,32 @@ class Flags(tuple):
 
 
 class Number:
-    """A field that is a plain number: the document defines every value."""
+    """A field of which every value is defined: an unsigned integer, or what `read` makes of its bytes.
+
+    type: Wireshark's, of an integer without the width; column: its type in tables; make: function(rng, size) -> bytes."""
+
+    def __init__(self, type_="UINT", column="integer", read=lambda data: int.from_bytes(data, "little"), make=None):
+        self.type, self.column, self.read = type_, column, read
+        self.make = make or (lambda rng, size: rng.randrange(2 ** (8 * size) - 1).to_bytes(size, "little"))
+
+    def value(self, count, size):
+        return self.read(count.to_bytes(size, "little"))
+
+
+REAL = Number("DOUBLE", "float", lambda data: struct.unpack("<d" if len(data) == 8 else "<f", data)[0],
+              lambda rng, size: struct.pack("<d" if size == 8 else "<f", rng.uniform(-1000, 1000)))
+TEXT = Number("STRING", "string", lambda data: escaped(data.partition(b"\0")[0]), lambda rng, size: bytes(rng.choice(b"abc xyz") for _ in range(size)))
+
+
+def escaped(data):
+    """A text whose control characters, and bytes that are not UTF-8, are \\xnn."""
+    text = data.decode("utf-8", "backslashreplace")
+    return re.sub("[\0-\x1f\x7f-\x9f]", lambda found: "".join(f"\\x{byte:02x}" for byte in found[0].encode()), text)
 
 
 class Message(tuple):
     """A message: (name, title, fields), the fields in the document's order: name, size in bytes, and what it is: (min, max,
-    unit) for a compressed float, Flags, a set of the values that the document defines, Number, None for a time.
+    unit) for a compressed float, Flags, a set of the values that the document defines, None for a time; Number(), REAL (IEEE 754) or TEXT.
 
     every: its period in seconds, None for no period; answers: the message that commands it.  generated: { name: (field, operator,
     field) }, of which derived are in tables, too: as published.  alarms: { field: the bits that are faults }."""
@@ -125,14 +147,6 @@ def is_flags(kind):
     return isinstance(kind, tuple) and len(kind) == 2
 
 
-def is_enum(kind):
-    return isinstance(kind, set)
-
-
-def is_number(kind):
-    return isinstance(kind, Number)
-
-
 def value(count, size, low, high, divisor=MAPPING):
     """A compressed float: floatN <low; high>, N = 8 * size."""
     return low + count * (high - low) / (2 ** (8 * size) - divisor)
@@ -156,8 +170,9 @@ def filters():
         names[f"taurus.{name}"] = "NONE"
         for field, size, kind in fields:
             path = f"taurus.{name}.{field}"
-            names[path] = "DOUBLE" if is_float(kind) else f"UINT{8 * size}" if kind else "RELATIVE_TIME"
-            if is_float(kind):
+            whole = kind.type if isinstance(kind, Number) else "UINT" if kind else "RELATIVE_TIME"
+            names[path] = "DOUBLE" if is_float(kind) else f"{whole}{8 * size}" if whole.endswith("INT") else whole
+            if names[path] == "DOUBLE":
                 names[f"{path}.special"] = "UINT8"
             elif is_flags(kind):
                 names.update((f"taurus.{name}.{kind[0]}.{flag}", "BOOLEAN") for flag in kind[1].values())
@@ -205,8 +220,8 @@ def numbers(ident, payload):
     for field, size, kind, count in MESSAGES[ident].counts(payload):
         if is_float(kind):
             found[field] = value(count, size, kind[0], kind[1]) if count <= 2 ** (8 * size) - MAPPING else None
-        elif is_number(kind):
-            found[field] = count
+        elif isinstance(kind, Number) and kind.column != "string":
+            found[field] = kind.value(count, size) if math.isfinite(kind.value(count, size)) else None
     for name, (a, operator, b) in MESSAGES[ident].generated.items():
         values = found[a], found[b]
         found[name] = None if None in values else OPERATORS[operator](*values)
@@ -243,8 +258,12 @@ def decode(ident, payload, divisor=MAPPING):
                 experts.append("taurus.fault.active")
             if count & ~sum(bits):
                 experts.append("taurus.flags.undefined")
-        elif is_number(kind):
-            shown[path] = str(count)
+        elif isinstance(kind, Number) and kind.column == "float" and not math.isfinite(kind.value(count, size)):
+            shown[f"{path}.special"] = str(["nan", "inf", "-inf"].index(str(kind.value(count, size))))
+            experts.append("taurus.value.special")
+        elif isinstance(kind, Number):
+            value_ = kind.value(count, size)
+            shown |= {path: number(value_) if kind.column == "float" else str(value_)} if value_ != "" else {}
         else:
             shown[path] = f"0x{count:02x}" if isinstance(kind, set) else str(count)
             if count not in kind:

@@ -5,6 +5,7 @@ lost; and no file of others is taken.
 YAPP_SEED chooses other random dumps.
 """
 import gzip
+import itertools
 import os
 import random
 import struct
@@ -31,7 +32,8 @@ SAID = "yapp: not opened as a raw serial dump"
 
 # The truth -------------------------------------------------------------------------------------------------------
 
-TIMES = {0x210: 22, 0x200: 0}  # where the time stamp is in the payload
+TIMES = {ident: sum(size for _, size, _ in itertools.takewhile(lambda row: row[2] is not None, message[2]))
+         for ident, message in model.MESSAGES.items() if message.has_clock}  # where the time stamp is in the payload
 
 
 def stamp(event):

@@ -50,9 +50,7 @@ def random_cause(rng):
     lead = rng.randrange(1, {"motor": 30, "health": 8, "command": 60}[message])
     if message == "motor" and rng.random() < 0.2:
         return Cause(message, "status_flags", lead, "step", 1, rng.choice([bit for bit in model.STATUS if bit != 0x20000]))
-    field = rng.choice([name for name, size, kind in model.MESSAGES[ID[message]][2] if model.is_float(kind)])
-    low, high, _ = next(kind for name, _, kind in model.MESSAGES[ID[message]][2] if name == field)
-    size = next(size for name, size, _ in model.MESSAGES[ID[message]][2] if name == field)
+    field, size, (low, high, _) = rng.choice([row for row in model.MESSAGES[ID[message]][2] if model.is_float(row[2])])
     step = (high - low) / (2 ** (8 * size) - 6)
     shape = rng.choice(["step", "step", "ramp", "pulse"]) if lead > 4 else "step"
     return Cause(message, field, lead, shape, rng.choice([-1, 1]) * rng.uniform(15, 25) * max(USUAL[field][1], step))
@@ -125,12 +123,8 @@ class Flight(flights.Flight):
 
 
 def value_in(message, payload, field):
-    at = 0
-    for name, size, kind in model.MESSAGES[ID[message]][2]:
-        count = int.from_bytes(payload[at:at + size], "little")
-        at += size
-        if name == field:
-            return model.value(count, size, kind[0], kind[1]) if model.is_float(kind) else count
+    size, kind, count = next(row for name, *row in model.MESSAGES[ID[message]].counts(payload) if name == field)
+    return model.value(count, size, kind[0], kind[1]) if model.is_float(kind) else count
 
 
 @pytest.fixture(scope="module")

@@ -196,6 +196,8 @@ def check_row(row, frame, bus, source, message):
             else:
                 assert float(row[field]) == pytest.approx(model.value(count, size, kind[0], kind[1]), rel=1e-6, abs=1e-9)
                 assert row[f"{field}_special"] == ""
+        elif isinstance(kind, model.Number) and kind.column != "integer":
+            assert (row[field] if kind.column == "string" else float(row[field])) == pytest.approx(kind.value(count, size))
         else:
             assert int(row[field]) == count
         if field in model.MEANINGS:
@@ -216,11 +218,13 @@ def check_fields(described):
         for field, size, kind in fields:
             column = columns[field]
             assert column["filter"] == f"taurus.{name}.{field}"
-            assert bool(column["learnable"]) == (model.is_float(kind) and kind[2] != "%")
+            assert bool(column["learnable"]) == (column["type"] == "float" and column["unit"] != "%")
             if kind is None:
                 assert (column["type"], column["unit"]) == ("time", "s")
             elif model.is_float(kind):
                 assert (column["type"], column["unit"], column["low"], column["high"]) == ("float", kind[2], *kind[:2])
+            elif isinstance(kind, model.Number) and kind.column != "integer":
+                assert column["type"] == kind.column
             else:
                 width = "flags" if model.is_flags(kind) else "uint"
                 assert (column["type"], column["kind"], column["bits"]) == ("integer", width, 8 * size)

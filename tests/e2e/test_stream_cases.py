@@ -65,14 +65,9 @@ def written(folder, packets, link, name="run.pcapng"):
 def test_another_transport(folder):
     """DCCP, by a script of the user's: its packets are a stream, and not those of a raw dump."""
     (folder / "dccp.lua").write_text('DissectorTable.get("dccp.port"):add(40, Dissector.get("yapp_serial"))')
-    parts = [data[from_:to] for _, data in flight(4) for from_, to in ((0, 20), (20, None))]
-    heads = [struct.pack(">HHBBHBB", 30, 40, 4, 0, 0, 5, 0) + number.to_bytes(6, "big") for number in range(len(parts))]
-    records = [struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(data), 1, 0, 64, 33, 0, b"\n\0\0\1", b"\n\0\0\2") + data
-               for data in map(bytes.__add__, heads, parts)]
-    (folder / "run.pcap").write_bytes(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 101) + b"".join(
-        struct.pack("<IIII", number, 0, len(record), len(record)) + record for number, record in enumerate(records)))
-    counts, events = statistics(folder / "run.pcap", "-X", f"lua_script:{folder / 'dccp.lua'}")
-    assert list(counts.values()) == [4] and kinds(events) <= {"silence", "stale"}, (counts, events)
+    parts = [(at, Packet(part, Origin(ETHERNET, 1, 2))) for at, data in flight() for part in (data[:20], data[20:])]
+    path = written(folder, parts, lambda packet: stream_captures.ethernet(packet, 33, struct.pack(">HHI8x", 30, 40, 4 << 24) + packet.data))
+    assert sum(statistics(path, "-X", f"lua_script:{folder / 'dccp.lua'}")[0].values()) == 20
 
 
 # Names -----------------------------------------------------------------------------------------------------------
