@@ -238,3 +238,5 @@ def test_near(folder):
         ("can0", "fault", "bus passive at 3.850 s"), ("can1", "fault", None),
         ("can0", "incomplete", "bus no_ack at 5.500 s"), ("can1", "incomplete", None)]
     assert [row.get("near") for row in rows if "kind" not in row] == [near for _, kind, near in found if kind == "fault"]
+    listed = tshark.run("-q", "-r", path, "-z", "yapp,faults").stdout
+    assert all(f"  {near}\n" in listed for _, kind, near in found if kind == "fault" and near)

@@ -876,6 +876,11 @@ function T.test_events_of_a_window_are_merged()
     "0.340 8 can0 0x210 left hot, stall raised", "0.340 8 can0 0x210 left hot, stall active after 0.000 s" })
   lu.assertEquals(#lines((run({ "events,json" }, records))), 9)
 
+  for _, kind in ipairs { "clock", "missing", "dropped", "stale", "incomplete", "unfinished", "invalid" } do
+    local often = { record(1, 0), record(2, 0.1, { kind = kind, values = {} }), record(3, 0.2, { kind = kind, values = {} }) }
+    lu.assertStrContains(run({ "events" }, often, { frames = {} }), ", 2 times up to 0.200 s", false, kind)
+  end
+
   -- A reboot that Health shows first is that of Motor Data, which comes more often; 3 s later is another one.
   local reboot = { reboot = 5 }
   printed = run({ "events" }, { record(1, 0), record(2, 1, { source = HEALTHY, payload = ("\0"):rep(8), change = reboot }),
