@@ -112,8 +112,8 @@ CHANGES = [
 # What uses every message, value, rule, column, form and way in.
 TESTS = ["tests/e2e/test_published.py", "tests/e2e/test_arrows.py", "tests/e2e/test_flight_fields.py", "tests/e2e/test_statistics.py",
          "tests/e2e/test_captures.py", "tests/e2e/test_candump.py", "tests/e2e/test_readme.py", "-k",
-         "published or inventory or vendors or row_says or picture or test_fields or worked_out or test_events or test_faults or test_summary "
-         "or test_csv or of_the_document or in_the_document or each_flag_and or unknown_id_is_like or rounded or test_form or page_of_filters"]
+         "not page_of_columns and (published or inventory or vendors or row_says or picture or test_fields or worked_out or test_events or test_faults or test_summary "
+         "or test_csv or of_the_document or in_the_document or each_flag_and or unknown_id_is_like or rounded or test_form or page_of_filters)"]
 
 
 def run(*command, cwd, code=0, **options):
