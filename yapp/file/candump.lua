@@ -29,6 +29,8 @@ local function set_time(record, stamp)
   local whole, fraction = match(stamp, "^(%d[%d%-: ]*)%.(%d+)$")
   local seconds = whole and parse_seconds(whole)
   if not seconds then return false end
+  -- Old versions of asc2log write "1.1000000" for two seconds.
+  if fraction == "1000000" then seconds, fraction = seconds + 1, "0" end
   record.stamp, record.seconds = stamp, seconds
   record.nanoseconds = tonumber((fraction .. "00000000"):sub(1, 9))
   return true
