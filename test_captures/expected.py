@@ -46,7 +46,7 @@ def plain(name, text):
     kind = TAURUS.get(name)
     if kind == "BOOLEAN":
         return "1" if tshark.truth(text) else "0"
-    return model.number(text) if kind == "DOUBLE" else text
+    return model.number(text) if kind == "DOUBLE" else text.replace("\\\\", "\\")  # from 4.2 on tshark escapes backslashes
 
 
 def shown(capture, *options, also=()):
