@@ -15,11 +15,7 @@ local windows = require "yapp.stat.windows"
 
 local M = {}
 
--- A method that Lua has to look up in a Tvb costs more than its work.
-local length_of, raw_of = Tvb.len, Tvb.raw
-
 local HAS_SHELL = package.config:sub(1, 1) == "/"
-local DEFAULT_WIDTH, DEFAULT_HEIGHT = 80, 24 -- of a terminal
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
 local MAY_GO_ON = not (IS_TSHARK or yapp_is_whole) -- a live capture; a page opens whole ones
 local HINT = "-Y does not narrow a statistic, and -R may remove parts of messages: " ..
@@ -62,7 +58,6 @@ Stat.__index = Stat
 function M.new(parts)
   parts.show = nil -- in Wireshark: function(text), which opens the window of an argument of -z
   parts.total = 0 -- in Wireshark: number of packets in the capture
-  parts.is_over = false -- true if a live statistic ends the reading of a file
   return setmetatable(parts, Stat)
 end
 
@@ -95,8 +90,8 @@ end
 -- See the header of a packet that has no frame of YAPP, or one that waits for it: Wireshark hands
 -- error frames to no dissector, and may refuse others.
 local function see_header(self, number, pinfo, tvb)
-  local frames, drop = self.frames, self.refused
-  local packet = length_of(tvb) > 0 and raw_of(tvb) or "" -- without bytes raw() throws past Lua
+  local drop, frames = self.refused, self.frames
+  local packet = tvb:len() > 0 and tvb:raw() or "" -- without bytes raw() throws past Lua
   if frames.waits then frames:resume(number, packet) end
   local kind = socketcan.find_unseen(packet)
   local is_can = kind and self.capture:is_can(number, pinfo)
@@ -150,9 +145,9 @@ local function tap_frames(self, statistic, filter)
   local passes = filter and (" && (%s)"):format(filter) or ""
   local stamps, frames = self.capture.stamps, self.frames
   add_tap(self, "can.id" .. passes, function(pinfo, tvb)
-    local number, time = pinfo.number, stamps:even(pinfo.rel_ts)
-    local source = source_of_bus(self, number, pinfo)
-    statistic:add_frame(source, time, raw_of(tvb), frames.number == number)
+    local number = pinfo.number
+    statistic:add_frame(source_of_bus(self, number, pinfo), stamps:even(pinfo.rel_ts), tvb:raw(),
+      frames.number == number)
   end)
 end
 
@@ -232,8 +227,7 @@ local function add_terminal(self, options, context)
     local stty, wants = io.popen("stty size 2>/dev/null </dev/tty"), self.wants.first_pass
     local height, width = stty:read("*a"):match("([1-9]%d*) ([1-9]%d*)") -- "0 0" if not known
     stty:close()
-    local has_list = wants and wants.columns -- tshark's own, which scrolls
-    return tonumber(width) or DEFAULT_WIDTH, tonumber(height) or DEFAULT_HEIGHT, has_list
+    return tonumber(width) or 80, tonumber(height) or 24, wants and wants.columns
   end
   function context.flush() return io.stdout:flush() end
   -- SIGINT ends a capture, and its file is whole.  While a file is read, SIGINT ends tshark without
@@ -242,7 +236,7 @@ local function add_terminal(self, options, context)
     if HAS_SHELL and (self.options.i or self.capture.found.is_live) then
       io.popen("kill -INT $PPID"):close()
     else
-      self.is_over = true
+      self.is_over = true -- the tap of all packets ends the reading
     end
   end
 end
@@ -312,8 +306,8 @@ function Stat:conclude()
   end
   local is_said = {} -- by line
   for line in table.concat(texts, "\n"):gmatch("[^\n]+") do
-    local is_known = is_said[line] or preferences.has_said((line:gsub("^check: ", "")))
-    if not is_known then print_error(line) end
+    local text = line:gsub("^check: ", "")
+    if not (is_said[line] or preferences.has_said(text)) then print_error(line) end
     is_said[line] = true
   end
   -- Other -z statistics of this run lose the rest of their output: the exit code matters more.

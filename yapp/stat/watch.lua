@@ -59,7 +59,8 @@ function M.new(options, context)
     faults = lists.new({ what = "faults" }, context),
     buses = buses.new(options, context),
     raised = {}, -- by source: event of the latest fault that was raised
-    before = {}, -- by source at the latest tick with a message of it: { count, at = its time, hz }
+    -- By source, at the latest tick with a message: { count, at = its time, hz }.
+    before = {},
     must_stop = false, -- true if the next packet ends the run
     code = nil, -- the exit code, if `stop` ended it
     is_over = false, -- true if it ends
@@ -68,7 +69,7 @@ end
 
 --- Add an event, see stat.answer.
 function Watch:add_event(event)
-  self.check:add_event(event)
+  if self.options.rules[1] then self.check:add_event(event) end
   self.summary:add_event(event)
   if event.kind == "message" then return end
   self.faults:add_event(event)
@@ -81,16 +82,15 @@ end
 
 -- The state of a source ---------------------------------------------------------------------------
 
--- Return the rate since the latest tick: by the stamps of messages, as packets come in heaps.  It
--- lasts for two periods, as a message of 1 Hz need not come between two ticks.
+-- Return the rate since the latest tick: by the stamps of messages, as packets come in heaps; 0
+-- two periods behind the last one.
 local function rate_of(self, group, age)
   local count, at = group.count, group.last.at
   local before = self.before[group.source] or { count = 1, at = at - group.length, hz = 0 }
-  if count == before.count then return age * before.hz < 2 and before.hz or 0 end
-  local length = kinds.span(before.at, at)
-  local hz = length > 0 and (count - before.count) / length or 0
+  local length, hz = kinds.span(before.at, at), before.hz
+  if length > 0 then hz = (count - before.count) / length end
   self.before[group.source] = { count = count, at = at, hz = hz }
-  return hz
+  return age * hz < 2 and hz or 0
 end
 
 -- Add the faults that are set to a row, and the latest one; people read this if none is set.
