@@ -11,6 +11,7 @@ import pytest
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 import gui  # noqa: E402
+from test_gui import text_of  # noqa: E402
 
 pytestmark = pytest.mark.skipif(bool(gui.MISSING), reason=f"not installed: {', '.join(gui.MISSING)}")
 PROFILE = gui.ROOT / "profiles/YAPP"
@@ -84,9 +85,8 @@ def test_menu_of_a_packet(capture):
             choose(wireshark, 908, number, is_shown)
         choose(wireshark, 717, ITEMS.index("Fault"),  # a fragment of 719
                lambda: any(title.endswith("YAPP Fault") for title in wireshark.windows().values()))
-        wireshark.wait_for_window("YAPP Fault")
-        area = wireshark.words()
-        assert "719" in area and "motor_overcurrent" in area, area
+        text = text_of(wireshark, "YAPP Fault", "YAPP fault: 1 of 1")
+        assert " 719 " in text and "motor_overcurrent" in text, text
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
 
 
