@@ -208,6 +208,12 @@ def test_asc(folder):
     assert failed(rows) == {"bus_off": 1, "bus_passive": 1}
 
 
+def test_little_endian_records(folder):
+    """As a preference of Wireshark's says it."""
+    (folder / "swapped.pcap").write_bytes(capture_file.pcap(capture_file.SOCKETCAN, [(BEGIN, record(error(0, 0, "off"), "<"))]))
+    assert on_buses(said(folder / "swapped.pcap", "-o", "can.byte_swap:TRUE")) == [(None, "off", 1)]
+
+
 @pytest.mark.parametrize("link", [1, 147])  # Ethernet, DLT_USER
 def test_packets_of_others_with_the_same_bytes(folder, link):
     """They are no error frames, and none that Wireshark 4.6 refuses."""

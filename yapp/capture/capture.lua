@@ -55,8 +55,7 @@ local function read_file(file)
     return bytes
   end, command_line.options().z ~= nil) -- a statistic asks for drops and numbers
   file:seek("set", 0)
-  -- What dumpcap writes begins with all its interfaces.
-  local is_long_pipe = not (is_short or may_read or command_line.options().i)
+  local is_long_pipe = not (is_short or may_read)
   found.is_cut = not is_long_pipe and ending.is_cut(file)
   -- A short file may be of a live capture that already had packets when it was opened; one that is
   -- damaged, as a compressed file that was cut off, was not read to its end.

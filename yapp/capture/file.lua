@@ -15,6 +15,7 @@ local byte, find, floor, max, sub = string.byte, string.find, math.floor, math.m
 
 --- How many bytes of a pipe may be read: Wireshark can rewind so many.
 M.HEAD = 65536
+local MAX_SECTION = 1024 -- bytes of the first block that name the program
 local CHUNK = 1048576 -- bytes that are read at once, and the most that are read of a block
 local SAME_TIME = 2e-6 -- seconds between the file's stamp and Wireshark's for the same packet
 
@@ -364,6 +365,13 @@ local FORMATS = {
 
 -- The facts of a file -----------------------------------------------------------------------------
 
+-- Return whether all packets are of the only bus: what dumpcap captures begins with all interfaces.
+-- Of a pipe it hands on the blocks of another program.
+local function has_one_bus_for_good(self, head)
+  local is_of_dumpcap = sub(head, 1, MAX_SECTION):find("Dumpcap", 1, true)
+  return is_of_dumpcap and #self.interfaces == 1 and #self.buses == 1
+end
+
 --- Read the buses of a file.  Of a file without YAPP only the first bytes are read, unless a
 -- statistic asks.
 -- head  its first bytes, M.HEAD at most
@@ -386,8 +394,7 @@ function M.read(head, more, reads_all)
     uses = {}, -- by name: how many buses have it
     has_one_bus = false, -- true if all packets are of one bus, also those not read
     has_several = false, -- true if it has several buses, or will have them in a live capture
-    -- True if a short file may have several: of `tshark -i can0` the one interface is there first.
-    may_be_several = false,
+    may_be_several = false, -- true if a short file has several, or may get another one
     may_add_buses = false, -- true if packets that were not read may be of another bus
     is_live = false, -- true if it is pcapng without a packet yet, as when a capture begins
     is_told = format ~= nil, -- true if it is of a format that this module reads
@@ -414,10 +421,10 @@ function M.read(head, more, reads_all)
   local has_packets = format and format[1](self, window, format[2], format[3])
   local may_carry_yapp = self.yapp_interfaces > 0
   self.is_unknown = self.is_unknown or #self.interfaces > 1 and not may_carry_yapp
-  self.may_add_buses = may_carry_yapp and not self.has_one_bus
+  local is_one = has_one_bus_for_good(self, head)
+  self.may_add_buses = may_carry_yapp and not (self.has_one_bus or is_one)
   self.has_several = #self.buses > 1 or self.is_live and self.has_indexes
-  self.may_be_several = #self.interfaces > 1 or self.has_several or
-    self.is_live and #self.buses ~= 1
+  self.may_be_several = #self.interfaces > 1 or self.has_several or self.is_live and not is_one
   self.may_have_frames = has_frame or not has_packets
   return self
 end

@@ -160,6 +160,7 @@ local function open(self)
   self.frames:begin_count()
   self.watch()
   self.wants.has_statistic = true
+  socketcan.choose_order(get_preference("can.byte_swap"))
   self.refused = { count = 0 } -- frames that this Wireshark refuses, as of Capture:drops
   self.bus_sources = memo(function(bus) return { bus = self.capture:name(bus or nil) } end)
   tap_packets(self)

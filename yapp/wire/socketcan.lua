@@ -12,6 +12,13 @@ local FDF = 4 -- option of a CAN FD frame
 local MAX_CLASS = 0x10000 -- of errors: Linux has ten bits
 local OLD_LENGTH = 72 -- of a packet that has room for all of a CAN FD frame
 
+local is_little = false -- true if the id is, also without the header of a cooked capture
+
+--- Choose the order of bytes in the ids, as Wireshark's preference can.byte_swap does.
+function M.choose_order(is_swapped)
+  is_little = is_swapped
+end
+
 --- Read the header, which is in a packet behind that of a cooked capture if it has one: its device
 -- type is 280, CAN, and then the id is little endian.
 -- packet   its bytes, from the beginning of the packet
@@ -22,7 +29,7 @@ function M.read(packet)
     #packet > 16 and packet:find("^\0[\0-\4]\1\24") and 16 or 0
   local a, b, c, d, length, options, _, _, _, second = packet:byte(offset + 1, offset + 10)
   if not length then return nil end
-  if offset > 0 then a, b, c, d = d, c, b, a end
+  if offset > 0 or is_little then a, b, c, d = d, c, b, a end
   local flags = a - a % M.ERROR
   local id = (a - flags) * 0x1000000 + b * 0x10000 + c * 0x100 + d
   return flags, id, length, options or 0, second or 0
