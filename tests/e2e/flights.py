@@ -197,7 +197,7 @@ class Truth:
     def fault(self, sender, frame, flag, event, active):
         line = {"time": frame.at, "frame": frame.number, **self.who(sender), "field": flag[0], "flag": flag[1],
                 "event": event, "active": active}
-        self.faults.append({**line, "help": not flag[1].startswith("undefined")})  # whether there is one
+        self.faults.append(line)
         self.events.append({"kind": "fault", **line})
 
     def absent(self):
