@@ -437,3 +437,15 @@ def test_a_report_into_a_pipe(folder, home):
     """It is written, not replaced: with root's rights /dev/stdout would be a file from then on."""
     assert z(folder, "check,fault=0,junit=/dev/fd/3", command="exec 3>pipe.xml; tshark -q -r run.pcapng")[0] == 0
     assert 'tests="2" failures="0" errors="0"' in (folder / "pipe.xml").read_text()
+
+
+def test_the_rules_of_the_page(folder):
+    """The ten that most flights need: the flight of the documents breaks some, and each is judged."""
+    table = (tshark.ROOT / "docs/rules.md").read_text().partition("| question | line |")[2].partition("\n\n")[0]
+    rules = re.findall("`(.*?)`", table)
+    (folder / "hover.rules").write_text("\n".join(rules))
+    done = tshark.run("-q", "-r", tshark.ROOT / "docs/flight.pcapng", "-z", "yapp,check,rules=hover.rules", cwd=folder, check=False)
+    assert done.returncode == 20 and "yapp:" not in done.stderr, done.stderr
+    verdicts = dict(re.findall(r"^(FAILED|NOT JUDGED|ok) +(\S+)", done.stdout, re.M))
+    assert len(rules) == 10 and verdicts.keys() == {"FAILED", "ok"}, done.stdout
+    assert "motor.rpm_error" in done.stdout.partition("\nok")[2]

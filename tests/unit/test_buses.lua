@@ -22,9 +22,11 @@ local FRAMES = { -- packet, bits without stuffing, bits that it lengthens: count
   { "\128\0\0", 0, 0 }, -- cut by the snap length
 }
 -- What an error frame reports, the gravest first: bits of its class, bits of the controller's state.
-local REPORTS = { { "off", 0x40, 0 }, { "passive", 4, 0x10, 0x20 }, { "restarted", 0x100, 0 }, { "no_ack", 0x20, 0 }, { "tx_timeout", 1, 0 },
-  { "overflow", 4, 1, 2 }, { "warning", 4, 4, 8, 0x40 }, { "protocol", 8, 0 }, { "arbitration", 2, 0 }, { "bus", 0x10, 0 }, { "bus", 0x80, 0 },
-  { "bus", 0x200, 0 }, {} }
+local REPORTS = {
+  { "off", 0x40, 0 }, { "passive", 4, 0x10, 0x20 }, { "restarted", 0x100, 0 }, { "no_ack", 0x20, 0 },
+  { "tx_timeout", 1, 0 }, { "overflow", 4, 1, 2 }, { "warning", 4, 4, 8, 0x40 }, { "protocol", 8, 0 },
+  { "arbitration", 2, 0 }, { "bus", 0x10, 0 }, { "bus", 0x80, 0 }, { "bus", 0x200, 0 }, {},
+}
 local STATES = { off = true, passive = true, restarted = true, warning = true }
 
 -- A random error frame: its packet, its reports by name, and the gravest.
@@ -108,7 +110,8 @@ function T.test_random_buses()
     local statistic, time, events, expected, list = buses_of.new { bitrate = bitrate }, 5, {}, {}, {}
     local add_error = buses_of.new_errors(function(event)
       local values = event.values
-      events[#events + 1] = ("%s %s %s %s"):format(event.source.bus, event.time, event.kind, values.what or values.note or values.count or "")
+      local value = values.what or values.note or values.count or ""
+      events[#events + 1] = ("%s %s %s %s"):format(event.source.bus, event.time, event.kind, value)
       statistic:add_event(event)
     end)
     local buses = {}
@@ -126,7 +129,8 @@ function T.test_random_buses()
         local packet, reports, name = random_error()
         bus.errors[name] = (bus.errors[name] or 0) + 1
         add_expected(expected, bus.known, bus.source.bus, time, reports)
-        add_error(kinds.new_event("bus_errors", 1, time, bus.source, { reports = buses_of.read_error(packet) }))
+        local values = { reports = buses_of.read_error(packet) }
+        add_error(kinds.new_event("bus_errors", 1, time, bus.source, values))
       end
     end
     lu.assertEquals(events, expected)
@@ -134,9 +138,10 @@ function T.test_random_buses()
     for i, row in ipairs(rows) do
       local load, most = row.load or {}, row.load_max or {}
       lu.assertEquals(row.bus, list[i].source.bus)
-      lu.assertAlmostEquals({ frames = row.frames, yapp = row.yapp, others = row.others, errors = row.errors.text, rate = row.rate,
-        first = row.first and row.first.text, last = row.last and row.last.text, load = load.value, load_text = load.text,
-        load_max = most.value, max_text = most.text }, row_of(list[i], bitrate, lacks_times), 1e-9, seed)
+      lu.assertAlmostEquals({ frames = row.frames, yapp = row.yapp, others = row.others, errors = row.errors.text,
+        rate = row.rate, first = row.first and row.first.text, last = row.last and row.last.text, load = load.value,
+        load_text = load.text, load_max = most.value, max_text = most.text },
+        row_of(list[i], bitrate, lacks_times), 1e-9, seed)
     end
     lu.assertEquals(#rows, #list)
   end
@@ -144,13 +149,14 @@ end
 
 -- What stands near a silence, a loss or a fault, of random events.
 function T.test_bus_events_near_another()
-  local is_near = { silence = true, fault = true, crc = true, missing = true, skipped = true, dropped = true, incomplete = true }
+  local is_near = { silence = true, fault = true, crc = true, incomplete = true, unfinished = true, missing = true,
+    dropped = true, skipped = true }
   for seed = 1, 100 do
     math.randomseed(seed)
     local row, bus_events, texts = kinds.LIST[math.random(#kinds.LIST)], {}, {}
     local length = row.name == "silence" and math.random(0, 20) / 4 or 0
-    local event = kinds.new_event(row.name, 1, seed % 9 > 0 and 10 or nil, { bus = "can0" }, { length = { json = length } })
-    is_near.unfinished = is_near.incomplete
+    local at_10, values = seed % 9 > 0 and 10 or nil, { length = { json = length } }
+    local event = kinds.new_event(row.name, 1, at_10, { bus = "can0" }, values)
     for at = 1, 20 do
       local time, what = at + math.random(0, 3) / 4, ({ "off", "no_ack" })[math.random(2)]
       local bus = math.random(3) == 1 and "can1" or "can0"
