@@ -146,6 +146,8 @@ def test_what_departed_first(cards, seed):
     flight, text = cards(seed, *(f"fault,{number},json" for number in range(1, len(FAULT_AT) + 1)))
     lines = [json.loads(line) for line in text.splitlines()]
     assert len(lines) == len(FAULT_AT)
+    frames = [flight.sent[flight.faulted[number]][0].number for number in range(len(FAULT_AT))]
+    assert cards(seed, *(f"fault,frame={frame},json" for frame in frames))[1] == text
     for number, card in enumerate(lines):
         (bus, ident, _), (_, _, cause) = flight.faulted[number], flight.faults[number]
         frame, (shown, payload) = flight.sent[flight.faulted[number]][0], flight.sent[flight.first[number]]

@@ -7,6 +7,7 @@ local catalogue_of = require("yapp.message.catalogue")
 local dates_of = require("yapp.stat.dates")
 local fault_of = require("yapp.stat.fault")
 local kinds = require("yapp.stat.kinds")
+local levels = require("levels")
 local output = require("yapp.stat.output")
 
 local T = {}
@@ -34,17 +35,20 @@ local function flight(options, is_json)
   local function out(text) printed[#printed + 1] = text end
   local context = { dates = dates_of.new(), json = is_json, out = out }
   local statistic, frame = fault_of.new(options, context), 0
-  local one = { printed = printed }
+  local one = { faults = {} } -- by source: those that are set
   function one.send(source, time, ...)
     frame = frame + 1
     local raws = { ... }
     local event = kinds.new_event("message", frame, time, source, nil, { seq = 0, raws = raws })
+    event.faults = one.faults[source]
     statistic:add_event(event)
     return event
   end
   function one.flag(cause, what, name, incident)
     local values = { field = "flags", flag = name, event = what, incident = incident, help = "why" }
-    statistic:add_event(kinds.new_follower("fault", cause, values))
+    local event = kinds.new_follower("fault", cause, values)
+    statistic:add_event(event)
+    return event
   end
   function one.add(event) statistic:add_event(event) end
   function one.finish(unknown)
@@ -123,25 +127,147 @@ function T.test_a_reserved_value_and_the_command_of_the_bus()
     "-0.110    104  motor    volts    10.50  inf  V", "-6.000      5  can0 0x5  Disabled\n")
 end
 
-function T.test_which_fault()
-  local function titles(options)
+function T.test_there_is_no_such_fault()
+  for _, options in ipairs { { number = 2 }, { frame = 2 } } do
     local one = flight(options)
-    for number = 1, 3 do
-      local cause, incident = one.send(number == 2 and RIGHT or LEFT, number, 10, 1, 0), {} -- frames 1, 4, 7
-      one.flag(cause, "raised", number == 2 and "stall" or "hot", incident)
-      one.send(number == 2 and RIGHT or LEFT, number + 0.1, 10, 1, 0)
-      one.flag(one.send(cause.source, number + 0.2, 10, 0, 0), "cleared", "hot", incident)
-    end
-    local text, code, problem = one.finish()
-    return text:match("YAPP fault[^\n]*"), code, problem
+    one.flag(one.send(LEFT, 1, 10, 1, 0), "raised", "hot", {})
+    lu.assertEquals({ one.finish() }, { "YAPP fault: 1\na note\n", 21, "there is no such fault: the capture has 1" })
   end
-  for number, title in ipairs { "1 of 3", "2 of 3", "3 of 3" } do
-    lu.assertEquals(titles { number = number }, "YAPP fault: " .. title)
-    for behind = 0, 2 do lu.assertEquals(titles { frame = 3 * number - 2 + behind }, "YAPP fault: " .. title) end
-  end
-  lu.assertEquals({ titles { number = 4 } }, { "YAPP fault: 3", 21, "there is no such fault: the capture has 3" })
-  lu.assertEquals({ titles { frame = 10 } }, { "YAPP fault: 3", 21, "there is no such fault: the capture has 3" })
   lu.assertEquals({ flight({ }).finish() }, { "YAPP fault: 0\na note\n" })
+end
+
+-- The first value that left the usual range, and the usual value.  A volt is a count, so the range is at least four
+-- volts wide; the last value alone must be half as far again.
+function T.test_which_value_left_its_range()
+  local function repeated(value, count) return (value .. " "):rep(count) end
+  local steady, restless = repeated(100, 20), repeated("100 102", 15)
+  local ramp = {}
+  for i = 1, 30 do ramp[i] = 99 + i end
+  ramp = table.concat(ramp, " ")
+  for values, expected in pairs {
+    [steady .. "104 104"] = "", [steady .. "105 105"] = "21 100.00 105.00",
+    [steady .. "95 95 90"] = "21 100.00 95.00",
+    [steady .. "106"] = "", [steady .. "107"] = "21 100.00 107.00", [steady .. "107 100 100"] = "",
+    [steady .. "255 255"] = "21 100.00 inf",
+    -- The largest, and what came before only if it is nearly as large.
+    [steady .. "123 123 100 100 130 130"] = "25 100.00 130.00",
+    [steady .. "124 124 100 100 130 130"] = "21 100.00 124.00",
+    [steady .. "107 107 130 130"] = "21 100.00 107.00",
+    -- The median of ten values before it, of at least five.
+    [ramp .. " 250 250"] = "31 124.50 250.00", [repeated(100, 4) .. "150 150 150 " .. steady] = "6 100.00 150.00",
+    -- A third of 27 distances is 1 V, which is 0.43 of the usual noise; 27 values are few: 4 * 1 / 0.43 * 32 / 27 is
+    -- 11.03 V.  The second value of a step is a volt nearer to the median than the first one.
+    [restless .. "113 113"] = "", [restless .. "114 114"] = "31 101.00 114.00",
+  } do
+    local one, frame = flight({ }, true), 0
+    local cause = nil
+    for value in values:gmatch("%d+") do
+      frame = frame + 1
+      cause = one.send(LEFT, frame / 100, tonumber(value), 1, 0)
+    end
+    one.flag(cause, "raised", "hot", {})
+    local row = one.finish():match('"changes":(%b[])')
+    local at, from, to = row:match('"frame":(%d+),.-"from":([^,]*),"to":([^,]*)')
+    to = to == "null" and "inf" or to and ("%.2f"):format(to)
+    lu.assertEquals(at and ("%s %.2f %s"):format(at, from, to) or "", expected, values)
+  end
+end
+
+-- Random flights: which messages, Commands, controllers, events and switches the card of a fault shows.
+local HIDDEN = { bus_off = true, bus_passive = true, bus_errors = true, unknown = true }
+
+local function is_same(a, b)
+  if a.name and b.name then return a.name == b.name end
+  return a.bus_key == b.bus_key and a.id % 16 == b.id % 16
+end
+
+-- The frames that each section of an incident's card shows.
+local function expected_sections(log, cause, incident)
+  local found, before, order = { messages = {}, command = {}, others = {}, events = {}, changes = {} }, {}, {}
+  local behind, command = 0, nil
+  for _, event in ipairs(log) do
+    local source = event.source
+    if event.kind == "message" then
+      if event.frame > cause.frame then behind = behind + (source == cause.source and 1 or 0) end
+      if source == cause.source and behind <= 5 then table.insert(found.messages, event.frame) end
+      if event.frame <= cause.frame and cause.time - event.time <= 10 then
+        if not before[source] then before[source], order[#order + 1] = {}, source end
+        table.insert(before[source], event)
+      end
+    elseif not HIDDEN[event.kind] and event.values.incident ~= incident then
+      local length = event.kind == "silence" and event.values.length.json or 0
+      local is_near = cause.time >= event.time - 1 and cause.time <= event.time + length + 1
+      if is_near then table.insert(found.events, event.frame) end
+    end
+  end
+  while #found.messages > 11 + math.min(behind, 5) do table.remove(found.messages, 1) end
+  for _, source in ipairs(order) do
+    local latest = before[source][#before[source]]
+    if source.type == COMMAND and source.bus_key == cause.source.bus_key then
+      local is_own, is_latest = is_same(source, cause.source), not command or latest.frame > command.frame
+      local has_own = command and is_same(command.source, cause.source)
+      if is_own and not has_own or is_own == (has_own or false) and is_latest then command = latest end
+    elseif source.type == MOTOR and not is_same(source, cause.source) then
+      table.insert(found.others, latest.frame)
+    end
+  end
+  found.command[1] = command and command.frame
+  for source, messages in pairs(before) do
+    local index = source == cause.source and 3 or command and source == command.source and 1
+    for i = index and #messages or 1, 2, -1 do
+      if messages[i].raws[index] ~= messages[i - 1].raws[index] then
+        table.insert(found.changes, messages[i].frame)
+        break
+      end
+    end
+  end
+  for _, list in pairs(found) do table.sort(list) end
+  return found
+end
+
+function T.test_random_cards()
+  local sources = { LEFT, RIGHT, FRONT, REAR, { bus_key = 1, bus = "can0", id = 0x00a, name = "left", type = COMMAND },
+    { bus_key = 2, bus = "can1", id = 0x210, type = MOTOR }, { bus_key = 2, bus = "can1", id = 0x000, type = COMMAND } }
+  for seed = 1, levels.size(60, 1500) do
+    math.randomseed(seed)
+    local options = math.random(2) == 1 and { number = math.random(4) } or { frame = math.random(700) }
+    local one, time, log, states, incidents, chosen = flight(options, true), 0, {}, {}, {}, nil
+    local quiet = sources[math.random(0, #sources)] -- sends nothing from some time on
+    for i, source in ipairs(sources) do states[source] = { value = i % 2 } end
+    for step = 1, 700 do
+      time = time + 1 / 16
+      local source, row = sources[math.random(#sources)], math.random(12) == 1 and kinds.LIST[math.random(#kinds.LIST)]
+      local state = states[source]
+      if row and row.name ~= "fault" then
+        local length = output.seconds(math.random(0, 20) / 4)
+        local at = row.name == "silence" and time - length.json or time
+        log[#log + 1] = kinds.new_event(row.name, 1000 + step, at, source, { length = length })
+        one.add(log[#log])
+      elseif source ~= quiet or step < 250 then
+        local what = source.type == MOTOR and math.random(25) == 1 and (state.incident and "cleared" or "raised")
+        if math.random(20) == 1 then state.value = 1 - state.value end
+        if what == "raised" then state.incident = {} end
+        one.faults[source] = what ~= "cleared" and state.incident and { { incident = state.incident } } or nil
+        local event = source.type == MOTOR and one.send(source, time, 100, 0, state.value) or
+          one.send(source, time, state.value)
+        log[#log + 1] = event
+        if what == "raised" then incidents[#incidents + 1], state.incident.cause = state.incident, event end
+        if what then log[#log + 1] = one.flag(event, what, "hot", state.incident) end
+        if event.frame >= (options.frame or 9999) then chosen = chosen or state.incident end
+        if what == "cleared" then state.incident = nil end
+      end
+    end
+    chosen = chosen or incidents[options.number]
+    local text, found, expected = one.finish(), {}, chosen and expected_sections(log, chosen.cause, chosen) or {}
+    for name in pairs(expected) do
+      found[name] = {}
+      local section = text:match('"' .. name .. '":(%b[])')
+      for frame in section:gmatch('"frame":(%d+)') do table.insert(found[name], tonumber(frame)) end
+      table.sort(found[name])
+    end
+    lu.assertEquals(found, expected, seed)
+    lu.assertEquals(tonumber(text:match('"time":[%d.]+,"frame":(%d+)')), chosen and chosen.cause.frame)
+  end
 end
 
 function T.test_json()

@@ -118,18 +118,26 @@ local function is_shown(event)
   return event.time and kind ~= "unknown" and (kind == "copies" or not row.is_counted_only)
 end
 
+-- Choose the card that is asked for, if an event shows its fault.
+local function choose(self, card, event)
+  local frame = self.frame
+  if card.number == self.number or frame and event.frame >= frame then
+    self.card = self.card or card
+  end
+end
+
 --- Add an event, see stat.answer.
 function Fault:add_event(event)
   if not is_shown(event) then return end
-  for _, card in pairs(self.cards) do keep(card, event) end
-  local card, new, frame = event.faults and self.cards[event.source], self.new, self.frame
+  for _, card in pairs(self.card and { self.card } or self.cards) do keep(card, event) end
+  local new, faults, card = self.new, event.faults, self.cards[event.source]
   if event.kind == "fault" then
     card = card_of(self, event)
     card.last = event
     if event.values.event == "raised" then insert(card.flags, event) end
-  end
-  if card and (card.number == self.number or frame and event.frame >= frame) then
-    self.card = self.card or card
+    choose(self, card, event)
+  elseif faults and card and card.incident == faults[1].incident then
+    choose(self, card, event) -- not at the first message, which comes before its faults
   end
   if event.time - self.begun > BEFORE_FAULT then
     self.old, self.new, self.begun = new, {}, event.time
