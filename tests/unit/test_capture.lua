@@ -177,7 +177,7 @@ function T.test_options_of_serial_lines()
     ["-o yapp.user_dlt:162"] = { ETHERNET, 162, RTAC },
   } do
     local found = read(pcapng(linktypes, { { 0, "x" } }, le))
-    lu.assertEquals(table.concat(found:serial_options(), " "), wanted)
+    lu.assertEquals(found:serial_option() or "", wanted)
   end
 end
 
@@ -187,7 +187,7 @@ local function bus_names(blocks)
   local find = found:bus_finder(false)
   for number = 1, found.count do
     local bus = found.has_several and find(number) or nil
-    names[number] = found:name(bus, false)
+    names[number] = found:name(bus)
   end
   return names
 end
@@ -226,7 +226,7 @@ function T.test_directions_by_fields()
     for i, direction in ipairs { 2, 1 } do
       local bus = found:bus_by_fields { ["frame.interface_id"] = 0, ["frame.interface_name"] = "ttyS0",
         ["frame.packet_flags_direction"] = direction }
-      lu.assertEquals(found:name(bus, false), row[2][i])
+      lu.assertEquals(found:name(bus), row[2][i])
     end
   end
 end
@@ -357,26 +357,22 @@ function T.test_no_two_buses_have_one_name()
     { "COM1#tx", "COM1#rx" })
 end
 
--- What a packet without a bus of its own is called: on CAN, and in UDP or TCP.
+-- What a packet without a bus of its own is called.
 function T.test_the_name_of_the_only_interface()
-  local function only_names(...)
+  local function only_name(...)
     local file = section(le)
     for i, linktype in ipairs { ... } do
       file = file .. interface(linktype, le, option(2, "n" .. i, le))
     end
-    local found = read(file)
-    return { found:name(nil) or "-", found:name(nil, true) or "-" }
+    return read(file):name(nil)
   end
-  lu.assertEquals(only_names(ETHERNET, CAN), { "n2", "-" })
-  lu.assertEquals(only_names(CAN, ETHERNET), { "n1", "-" })
-  lu.assertEquals(only_names(CAN, CAN), { "-", "-" })
-  lu.assertEquals(only_names(ETHERNET), { "-", "n1" })
-  lu.assertEquals(only_names(CAN), { "n1", "n1" })
+  lu.assertEquals({ only_name(ETHERNET, CAN), only_name(CAN, ETHERNET), only_name(CAN) }, { "n2", "n1", "n1" })
+  lu.assertNil(only_name(CAN, CAN))
+  lu.assertNil(only_name(ETHERNET))
   lu.assertNil(read(section(le) .. interface(CAN, le)):name(nil)) -- no name: none is made up
   lu.assertNil(read(pcap(CAN, { "x" }, le)):name(nil))
 end
 
--- Behind what was read, as in a live capture, fields tell the bus.
 -- Of a file without YAPP at its head the rest is not read.  It may describe CAN interfaces later.
 function T.test_interfaces_behind_the_head()
   local name = option(2, "eth0", le)
@@ -384,12 +380,13 @@ function T.test_interfaces_behind_the_head()
     local file = section(le) .. interface(ETHERNET, le, name) .. (packet(0, ("x"):rep(1000), le)):rep(packets) ..
       interface(CAN, le, option(2, "can0", le))
     local one = read(file)
-    return { one.is_unknown, one.is_told, one:name(nil) or "-", one:name(nil, true) or "-" }
+    return { one.is_unknown, one.is_told, one:name(nil) }
   end
-  lu.assertEquals(found(70), { true, true, "-", "eth0" })
-  lu.assertEquals(found(10), { false, true, "-", "-" }) -- two buses
+  lu.assertEquals(found(70), { true, true })
+  lu.assertEquals(found(10), { false, true }) -- two buses
 end
 
+-- Behind what was read, as in a live capture, fields tell the bus.
 function T.test_buses_by_fields()
   local found = read(section(le) .. interface(CAN, le, option(2, "can0", le)))
   local function bus(id, index, event, name)

@@ -211,10 +211,9 @@ end
 
 --- Return the name of a bus.
 -- bus      its number; nil where the capture has one or tells none apart
--- is_ip    true if the packet came in UDP or TCP, so by any interface
 -- returns  text, or nil where the capture names none
-function Capture:name(bus, is_ip)
-  return self.names[bus or 0] or self.found:name(bus, is_ip)
+function Capture:name(bus)
+  return self.names[bus or 0] or self.found:name(bus)
 end
 
 return M

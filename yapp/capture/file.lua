@@ -28,12 +28,17 @@ function Window:bytes(offset, count)
   return sub(self.text, offset - self.start + 1, offset - self.start + count)
 end
 
--- The number that bytes are, 0 for none; of 8 bytes it has a sign.
-function Window:value(bytes)
-  if self.is_little then bytes = bytes:reverse() end
+-- Return the number that bytes are, the highest first; of 8 bytes it has a sign.
+local function big_endian(bytes)
   local number = #bytes == 8 and byte(bytes) > 127 and -1 or 0
   for i = 1, #bytes do number = number * 0x100 + byte(bytes, i) end
   return number
+end
+
+-- The same in the order of the file; 0 for nil.
+function Window:value(bytes)
+  bytes = bytes or ""
+  return big_endian(self.is_little and bytes:reverse() or bytes)
 end
 
 function Window:number(offset, count)
@@ -98,9 +103,8 @@ local LINKS = {
   [COOKED_2] = {
     is_can = true,
     index_of = function(head)
-      if not IS_CAN[sub(head, 1, 2)] or #head < HEADER then return nil end
-      local a, b, c, d = byte(head, 5, 8)
-      return a * 0x1000000 + b * 0x10000 + c * 0x100 + d
+      local is_can = IS_CAN[sub(head, 1, 2)] and #head == HEADER
+      return is_can and big_endian(sub(head, 5, 8)) or nil
     end,
   },
   [RTAC] = {
@@ -130,11 +134,14 @@ local function bus_number(self, interface, index)
   return number
 end
 
--- Keep the bus of the latest packet, 0 if it carries no YAPP.  Other links may carry CAN, too: each
--- interface is a bus.
+-- Keep what the latest packet tells.  If packets may be of several buses: its bus, 0 if it carries
+-- no YAPP.  Other links may carry CAN, too: each interface is a bus.
 -- offset   of its data
--- seconds  since 1970
-local function keep_bus(self, window, interface, offset, flags, seconds)
+-- seconds  since 1970.  A recorder without a clock gives all packets one stamp
+local function keep_packet(self, window, interface, offset, flags, seconds)
+  self.stamp = self.stamp or seconds
+  self.stamps_differ = self.stamps_differ or seconds ~= self.stamp
+  if not self.keeps then return end
   local link, index = interface.link, 0
   if link and link.index_of then index = link.index_of(window:bytes(offset, HEADER), flags) end
   self.bus_by_number[self.count] = index and bus_number(self, interface, index) or 0
@@ -162,15 +169,13 @@ end
 -- Add an interface to those of the file.
 local function add_interface(self, linktype, name)
   local interface = new_interface(#self.interfaces, linktype, name)
-  self.interfaces[#self.interfaces + 1] = interface
   local link = interface.link
-  if link then
-    if not link.index_of then bus_number(self, interface, 0) end
-    self.yapp_interfaces = self.yapp_interfaces + 1
-    self.has_indexes = self.has_indexes or linktype == COOKED_2
-  end
-  local may_be_several = #self.interfaces > 1 or link and link.index_of
-  if not self.keeps and self.yapp_interfaces > 0 and may_be_several then
+  local has_indexes = link and link.index_of
+  table.insert(self.interfaces, interface)
+  if link and not has_indexes then bus_number(self, interface, 0) end
+  self.may_carry_yapp = self.may_carry_yapp or link ~= nil
+  self.is_cooked = self.is_cooked or linktype == COOKED_2
+  if not self.keeps and self.may_carry_yapp and (has_indexes or #self.interfaces > 1) then
     self.keeps = true
     for number = 1, self.count do
       self.bus_by_number[number] = bus_number(self, self.interfaces[1], 0)
@@ -180,12 +185,6 @@ local function add_interface(self, linktype, name)
 end
 
 -- Times -------------------------------------------------------------------------------------------
-
--- Compare a time stamp with the first one: a recorder without a clock gives all packets one stamp.
-local function compare_stamp(self, seconds)
-  self.stamp = self.stamp or seconds
-  if seconds ~= self.stamp then self.stamps_differ = true end
-end
 
 -- Divide a stamp exactly: 1700000000123456789 units of 10^-9 s do not fit into a double.
 -- high, low  halves of it, of 32 bits
@@ -216,6 +215,11 @@ local function read_options(window, offset, stop)
   return options
 end
 
+-- Return an interface by its number in the section, nil for none.
+local function interface_at(self, number)
+  return self.interfaces[self.first_interface + number + 1]
+end
+
 -- The functions in BLOCKS, below, read a block of `length` bytes, of which the first CHUNK are
 -- available.  They return true to read no further.
 
@@ -226,7 +230,7 @@ local function read_interface(self, window, offset, length)
   local interface = add_interface(self, window:number(offset + 8, 2), name)
   local exponent = byte(options[9] or "\6") -- if_tsresol
   interface.per_second = exponent < 128 and 10 ^ exponent or 2 ^ (exponent - 128)
-  interface.shift = window:value(options[14] or "") -- if_tsoffset
+  interface.shift = window:value(options[14]) -- if_tsoffset
 end
 
 -- Add packets of an interface that were dropped.
@@ -238,44 +242,34 @@ local function add_drops(self, interface, count, seconds, number)
     { time = seconds, frame = number, bus = interface.name, count = count }
 end
 
--- Return the options of a packet where they tell anything, and add the packets that were dropped in
--- front of it.
-local function read_packet_options(self, window, interface, offset, stop, seconds)
-  if not (interface.is_serial or window.may_have_drops) then return {} end
-  local options = read_options(window, offset, stop)
-  add_drops(self, interface, window:value(options[4] or ""), seconds, self.count)
-  return options
-end
-
 -- Read a block with a packet of an interface, by its number in the section: its bus, its time and
 -- its options.
 local function read_packet(self, window, offset, length, number)
   self.count = self.count + 1
   local is_wanted = self.keeps or window.may_have_drops or not self.stamps_differ
   if not is_wanted then return end -- the usual case
-  local interface = self.interfaces[self.first_interface + number + 1]
+  local interface = interface_at(self, number)
   if length < 32 or not interface then return true end
   local high, low, captured = three_numbers(window, offset + 12)
-  if self.count == 1 then self.first = exact_time(high, low, interface) end
   local seconds = (high * 2 ^ 32 + low) / interface.per_second + interface.shift
-  compare_stamp(self, seconds)
-  local data = offset + 28
-  local options = read_packet_options(self, window, interface, data + captured + -captured % 4,
-    offset + length - 4, seconds)
-  if interface.is_serial and not self.has_serial_frames then
+  local data, is_serial, options = offset + 28, interface.is_serial, {}
+  if self.count == 1 then self.first = exact_time(high, low, interface) end
+  if is_serial or window.may_have_drops then
+    options = read_options(window, data + captured + -captured % 4, offset + length - 4)
+    add_drops(self, interface, window:value(options[4]), seconds, self.count)
+  end
+  if is_serial and not self.has_serial_frames then
     self.has_serial_frames = has_header(window:bytes(data, length))
   end
-  if self.keeps then
-    keep_bus(self, window, interface, data, window:value(options[2] or ""), seconds)
-  end
+  keep_packet(self, window, interface, data, window:value(options[2]), seconds)
 end
 
 -- Read how many packets an interface dropped so far.
 local function read_statistics(self, window, offset, length, number)
-  local interface = self.interfaces[self.first_interface + number + 1]
+  local interface = interface_at(self, number)
   if not interface then return end
   local options = read_options(window, offset + 20, offset + length - 4)
-  add_drops(self, interface, window:value(options[5] or "") - interface.accounted)
+  add_drops(self, interface, window:value(options[5]) - interface.accounted)
 end
 
 -- A block that Wireshark gives a frame number, too.  If it is the first one, Wireshark counts no
@@ -290,8 +284,8 @@ end
 local function read_simple_packet(self, window, offset)
   count_packet(self)
   self.lacks_times = true
-  local interface = self.interfaces[self.first_interface + 1]
-  if interface and self.keeps then keep_bus(self, window, interface, offset + 12, 0, 0) end
+  local interface = interface_at(self, 0)
+  if interface then keep_packet(self, window, interface, offset + 12, 0, 0) end
 end
 
 local BLOCKS = {
@@ -323,9 +317,7 @@ local function read_pcapng(self, window)
     if not is_there or read and read(self, window, offset, length, number) then break end
     offset = offset + length
   end
-  local has_packets, may_carry_yapp = self.count > 0, self.yapp_interfaces > 0
-  self.is_live = not has_packets and (may_carry_yapp or #self.interfaces == 0)
-  return has_packets
+  self.is_live = self.count == 0 and (self.may_carry_yapp or #self.interfaces == 0)
 end
 
 -- pcap --------------------------------------------------------------------------------------------
@@ -335,26 +327,22 @@ local function read_pcap(self, window, is_little, fractions)
   local linktype = window:number(20, 4) % 0x10000 -- above it: the length of check sequences
   local interface, offset = add_interface(self, linktype), 24
   self.keeps = linktype == COOKED_2 or linktype == RTAC -- packets of others have no flags
-  self.has_one_bus = not self.keeps
+  self.is_pcap = true
   while offset + 16 <= window.stop or self.keeps and window:has(offset, 16) do
     local seconds, fraction, length = three_numbers(window, offset)
     self.first = self.first or { seconds, floor(fraction * 1e9 / fractions) }
-    local time = seconds + fraction / fractions
-    compare_stamp(self, time)
     if self.keeps then
       self.count = self.count + 1
       window:has(offset, 16 + HEADER)
-      keep_bus(self, window, interface, offset + 16, 0, time)
-    elseif self.stamps_differ then
-      break
     end
+    keep_packet(self, window, interface, offset + 16, 0, seconds + fraction / fractions)
+    if self.stamps_differ and not self.keeps then break end
     offset = offset + 16 + length
   end
-  return self.first ~= nil
 end
 
--- By the first four bytes of a file: the function that reads it, and returns whether it has
--- packets; of pcap, true if it is little endian, and the fractions of a second in its times.
+-- By the first four bytes of a file: the function that reads it; of pcap, true if it is little
+-- endian, and the fractions of a second in its times.
 local FORMATS = {
   ["\212\195\178\161"] = { read_pcap, true, 1e6 },
   ["\161\178\195\212"] = { read_pcap, false, 1e6 },
@@ -365,11 +353,23 @@ local FORMATS = {
 
 -- The facts of a file -----------------------------------------------------------------------------
 
--- Return whether all packets are of the only bus: what dumpcap captures begins with all interfaces.
--- Of a pipe it hands on the blocks of another program.
+-- Return whether all packets are of one bus, also those that were not read: a pcap file tells no
+-- other one, and what dumpcap captures begins with all interfaces.  Of a pipe dumpcap hands on the
+-- blocks of another program.
 local function has_one_bus_for_good(self, head)
   local is_of_dumpcap = sub(head, 1, MAX_SECTION):find("Dumpcap", 1, true)
-  return is_of_dumpcap and #self.interfaces == 1 and #self.buses == 1
+  return self.is_pcap and not self.keeps or
+    is_of_dumpcap and #self.interfaces == 1 and #self.buses == 1
+end
+
+-- Set the facts that follow from all that was read.
+local function conclude(self, head, has_frame)
+  local has_packets, is_one = self.count > 0 or self.stamp, has_one_bus_for_good(self, head)
+  self.may_have_frames = has_frame or not has_packets
+  self.is_unknown = self.is_unknown or #self.interfaces > 1 and not self.may_carry_yapp
+  self.may_add_buses = self.may_carry_yapp and not is_one
+  self.has_several = #self.buses > 1 or self.is_live and self.is_cooked
+  self.may_be_several = #self.interfaces > 1 or self.has_several or self.is_live and not is_one
 end
 
 --- Read the buses of a file.  Of a file without YAPP only the first bytes are read, unless a
@@ -378,24 +378,24 @@ end
 -- more  function(skip, count) -> the next bytes behind so many that are skipped, at most `count`;
 --       nil at the end, and where a pipe must be left alone
 -- reads_all  true to read a file without YAPP, too
--- returns a file, whose fields from `has_several` on others read
+-- returns a file, with these facts, too:
+--   has_several      true if it has several buses, or will have them in a live capture
+--   may_be_several   true if a short file has several, or may get another one
+--   may_add_buses    true if packets that were not read may be of another bus
+--   may_have_frames  true if its head may have frames, or it has no packets yet
 function M.read(head, more, reads_all)
   local magic, has_frame = sub(head, 1, 4), has_header(head)
   local format = FORMATS[magic]
   local self = setmetatable({
-    yapp_interfaces = 0, -- number of interfaces that may carry YAPP
-    keeps = false, -- true if packets may be of several buses
-    has_indexes = false, -- true if Linux cooked v2 is among the interfaces
-    bus_by_number = {}, -- of packets; 0 where its interface carries no YAPP
-    stamps = {}, -- when they were captured, seconds since 1970; nil not to compare
     interfaces = {}, -- of the file
     first_interface = 0, -- number of interfaces in the sections before
+    may_carry_yapp = false, -- true if one of them may
+    is_cooked = false, -- true if one is Linux cooked v2
     buses = {}, -- list of { interface, name, index }
     uses = {}, -- by name: how many buses have it
-    has_one_bus = false, -- true if all packets are of one bus, also those not read
-    has_several = false, -- true if it has several buses, or will have them in a live capture
-    may_be_several = false, -- true if a short file has several, or may get another one
-    may_add_buses = false, -- true if packets that were not read may be of another bus
+    keeps = false, -- true if packets may be of several buses
+    bus_by_number = {}, -- of packets; 0 where its interface carries no YAPP
+    stamps = {}, -- when they were captured, seconds since 1970; nil not to compare
     is_live = false, -- true if it is pcapng without a packet yet, as when a capture begins
     is_told = format ~= nil, -- true if it is of a format that this module reads
     -- True if it may have buses that this module cannot tell apart: a file of Vector BLF, or pcapng
@@ -411,31 +411,23 @@ function M.read(head, more, reads_all)
     lacks_times = false, -- true if packets have no time stamps
     stamps_differ = false, -- true if two of the packets that were read have different ones
     has_serial_frames = false, -- true if a packet of a serial line in pcapng may have a frame
-    may_have_frames = false, -- true if its head may have frames, or it has no packets yet
   }, File)
   local window = setmetatable({ text = head, start = 0, stop = #head, is_little = true }, Window)
   function window.more(skip, count)
-    if self.yapp_interfaces > 0 or has_frame or reads_all then return more(skip, count) end
+    if self.may_carry_yapp or has_frame or reads_all then return more(skip, count) end
     self.is_unknown = #head >= M.HEAD
   end
-  local has_packets = format and format[1](self, window, format[2], format[3])
-  local may_carry_yapp = self.yapp_interfaces > 0
-  self.is_unknown = self.is_unknown or #self.interfaces > 1 and not may_carry_yapp
-  local is_one = has_one_bus_for_good(self, head)
-  self.may_add_buses = may_carry_yapp and not (self.has_one_bus or is_one)
-  self.has_several = #self.buses > 1 or self.is_live and self.has_indexes
-  self.may_be_several = #self.interfaces > 1 or self.has_several or self.is_live and not is_one
-  self.may_have_frames = has_frame or not has_packets
+  if format then format[1](self, window, format[2], format[3]) end
+  conclude(self, head, has_frame)
   return self
 end
 
---- Return the options of tshark that may decode YAPP in the file's serial lines: a list.
-function File:serial_options()
+--- Return the option of tshark that may decode YAPP in the file's serial lines, nil for none.
+function File:serial_option()
   for _, interface in ipairs(self.interfaces) do
     local option = interface.link and interface.link.option
-    if option then return { option } end
+    if option then return option end
   end
-  return {}
 end
 
 --- Return a function(number, pinfo), which finds the bus of each packet in their order.  It returns
@@ -496,14 +488,11 @@ local function bus_name(self, bus)
   return name .. "#" .. (index or bus.interface.number)
 end
 
---- Return the name of a bus.
--- bus      nil where the file has one
--- is_ip    true if the packet came in UDP or TCP, so by any interface
--- returns  text, nil where the file has no name for it
-function File:name(bus, is_ip)
+--- Return the name of a bus, nil where the file has none.
+-- bus  nil where the file has one
+function File:name(bus)
   local one = self.buses[bus or 1]
   if bus then return one and bus_name(self, one) end
-  if is_ip then return #self.interfaces == 1 and self.interfaces[1].name or nil end
   if not one or self.has_several or self.is_unknown then return nil end
   return self.is_live and one.index ~= 0 and bus_name(self, one) or one.interface.name
 end

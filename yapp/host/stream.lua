@@ -236,7 +236,7 @@ function Dissector:undecoded_options()
   end
   table.sort(list)
   if found.has_serial_frames and not self.reading.lines.has_serial then
-    list = joined(found:serial_options(), list)
+    list = joined({ found:serial_option() }, list)
   end
   return list, count
 end

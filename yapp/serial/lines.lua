@@ -75,7 +75,7 @@ function Lines:of(kind, from, port, to, to_port, bus)
   local line = self.by_key[key]
   if line then return line end
   local is_ip = M.is_ip(kind, from)
-  line = new_line(is_ip and bus_of(self, from, port) or self.capture:name(bus, false))
+  line = new_line(is_ip and bus_of(self, from, port) or self.capture:name(bus))
   self.by_key[key] = line
   if is_ip then
     line.receiver, line.has_address = bus_of(self, to, to_port), true
