@@ -6,6 +6,7 @@ YAPP_SEED chooses other random dumps.
 """
 import gzip
 import itertools
+import math
 import os
 import random
 import struct
@@ -61,21 +62,17 @@ def records(data):
 
 
 class Line:
-    """The time of a dump, which never goes back.  Each ID has clocks: that of a controller, a new one if it reboots."""
+    """The time of a dump, which never goes back.  Each ID has a clock, a new one if its controller reboots."""
 
     def __init__(self, now):
         self.now, self.clocks, self.latest = now, {}, 0
 
     def go_on(self, ident, time):
-        clocks = self.clocks.setdefault(ident, [])  # [the last stamp, how far the dump's time is ahead of it]
-        clock = max((clock for clock in clocks if clock[0] <= time and time + clock[1] > self.now - 10**9),
-                    key=lambda clock: clock[0], default=None)
-        if clock is None:
-            shares = 0 <= time + self.latest - self.now < 10**9
-            clock = [time, self.latest if shares else self.now - time]
-            clocks.append(clock)
-        clock[0], self.latest = time, clock[1]
-        self.now = max(self.now, time + clock[1])
+        last, ahead = self.clocks.get(ident, (math.inf, 0))  # the last stamp, how far the dump's time is ahead of it
+        if time < last:
+            ahead = self.latest if 0 <= time + self.latest - self.now < 10**9 else self.now - time
+        self.clocks[ident], self.latest = (time, ahead), ahead
+        self.now = max(self.now, time + ahead)
         return self.now
 
 
