@@ -36,6 +36,7 @@ local file_readers = require "yapp.file.readers"
 local frame = require "yapp.wire.frame"
 local header_reader = require "yapp.host.header"
 local joined = require "yapp.base.joined"
+local mapped = require "yapp.base.mapped"
 local message_types = require "yapp.message.types"
 local preferences = require "yapp.host.preferences"
 local show_fields = require "yapp.show.fields"
@@ -259,7 +260,7 @@ local function check_chosen_file(path)
 end
 
 local function read_preferences()
-  local prefs, chosen, problems = yapp.prefs, {}, {}
+  local prefs, chosen = yapp.prefs, {}
   field_kinds.choose_divisor(prefs.divisor)
   for _, message in ipairs(catalogue.messages) do
     chosen[message.name] = preferences.parse_range(prefs[message.name .. "_ids"])
@@ -269,9 +270,8 @@ local function read_preferences()
   local late, no_number = preferences.parse_late(prefs.late)
   local link_types = preferences.register_link_types(prefs.user_dlt, serial)
   local unread_files = check_chosen_file(prefs.messages)
-  for i, text in ipairs(joined(clashes, unread, no_number, link_types, unread_files)) do
-    problems[i] = "preferences: " .. text
-  end
+  local texts = joined(clashes, unread, no_number, link_types, unread_files)
+  local problems = mapped(texts, function(text) return "preferences: " .. text end)
   preferences.complain(problems)
   if mistakes[1] then table.insert(problems, "the catalogue did not load whole") end
   types:use(by_id, sources, {

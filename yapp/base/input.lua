@@ -53,15 +53,19 @@ function M.find(list, name)
   return nil, table.concat(names, ", ")
 end
 
+--- Return a list of the words of a text.
+function M.words(text)
+  local list = {}
+  for word in text:gmatch("%S+") do list[#list + 1] = word end
+  return list
+end
+
 --- Name the first values of rows, and return these: rows("name help", { { "x", "is x" } }) gives
 -- { { "x", "is x", name = "x", help = "is x" } }.
 function M.rows(names, rows)
+  local keys = M.words(names)
   for _, row in ipairs(rows) do
-    local index = 0
-    for name in names:gmatch("%S+") do
-      index = index + 1
-      row[name] = row[index]
-    end
+    for i, key in ipairs(keys) do row[key] = row[i] end
   end
   return rows
 end
@@ -76,7 +80,7 @@ end
 --- The names in a text as a set: { [name] = true }.
 function M.set(text)
   local names = {}
-  for name in text:gmatch("%S+") do names[name] = true end
+  for _, name in ipairs(M.words(text)) do names[name] = true end
   return names
 end
 

@@ -12,7 +12,7 @@ Addresses.__index = Addresses
 --- Make the addresses of a capture.
 function M.new()
   -- Lists of { address, text = as a number }: several addresses may have one name.
-  return setmetatable({ by_name = memo(function() return {} end) }, Addresses)
+  return setmetatable({ by_name = memo() }, Addresses)
 end
 
 local function ipv4_text(groups)

@@ -33,6 +33,7 @@ local field_kinds = require "yapp.message.field_kinds"
 local filters = require "yapp.message.filters"
 local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
+local mapped = require "yapp.base.mapped"
 local text_of = require "yapp.message.text"
 
 local demand = input.demand
@@ -68,7 +69,7 @@ for _, size in ipairs { 1, 2, 4 } do add_type("float", size, 2 ^ (8 * size) - 1)
 local function types_of(names)
   local types = {}
   for kind, words in pairs(names) do
-    for name in words:gmatch("%S+") do types[name] = kind end
+    for _, name in ipairs(input.words(words)) do types[name] = kind end
   end
   return types
 end
@@ -332,13 +333,10 @@ end
 
 --- Return those of a list of message types that may have a payload of this size, in bytes.
 function M.of_size(message_types, size)
-  local list = {}
-  for _, message_type in ipairs(message_types) do
-    if size >= message_type.min_size and size <= message_type.size then
-      list[#list + 1] = message_type
-    end
-  end
-  return list
+  return mapped(message_types, function(message_type)
+    local fits = size >= message_type.min_size and size <= message_type.size
+    return fits and message_type
+  end)
 end
 
 --- Assign a message type to each ID.

@@ -54,8 +54,8 @@ function M.new(options)
   for _, message_type in ipairs(options.catalogue.messages) do
     local answered = message_type.answers
     if answered then
-      self.commands[answered] = memo(function() return {} end)
-      self.motors[answered] = memo(function() return {} end)
+      self.commands[answered] = memo()
+      self.motors[answered] = memo()
     end
   end
   return self

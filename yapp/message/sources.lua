@@ -93,7 +93,7 @@ function M.parse(text, catalogue)
     -- The parts: a list of { bus = name or nil, id = nil for all of a bus, type = message type or
     -- nil, name = or nil }.
     rows = {},
-    by_bus = memo(function() return {} end), -- [bus or false][ID or "every"] = a row
+    by_bus = memo(), -- [bus or false][ID or "every"] = a row
   }, Sources), {}
   for piece in text:gmatch("[^,%s][^,]*") do
     local part = trim(piece)

@@ -9,6 +9,7 @@ local band = require "yapp.base.bits".band
 local field_kinds = require "yapp.message.field_kinds"
 local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
+local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
 
 local M = {}
@@ -104,7 +105,7 @@ function M.compile_info(message_type, text)
   return new_writer(pieces)
 end
 
-local latest_names = memo(function() return {} end) -- [field] = { raw, names }: they seldom change
+local latest_names = memo() -- [field] = { raw, names }: they seldom change
 
 --- Return the filter names of the flags that are set, faults first, undefined bits as one number:
 -- "faulted, running, undefined 0x80".
@@ -148,11 +149,9 @@ local SPECIAL_CELLS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" }
 
 -- Return the fields and derived values of a message.
 local function fields_of(message_type)
-  local list = joined(message_type.fields)
-  for _, item in ipairs(message_type.generated) do
-    if not item.is_difference then list[#list + 1] = item end
-  end
-  return list
+  return joined(message_type.fields, mapped(message_type.generated, function(item)
+    return not item.is_difference and item
+  end))
 end
 
 --- List the columns of a message, in order.

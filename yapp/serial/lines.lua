@@ -23,7 +23,7 @@ function M.new(types, capture)
     types = types,
     capture = capture,
     by_key = {}, -- the lines, by key_of; of USB by name
-    by_bus = memo(function() return {} end), -- [bus of UDP and TCP][ID] = a source
+    by_bus = memo(), -- [bus of UDP and TCP][ID] = a source
     commands = commands, -- [name of a message type] = true if controllers receive it
     has_serial = false, -- true if a line is neither of UDP or TCP nor of an adapter
   }, Lines)

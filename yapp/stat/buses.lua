@@ -9,6 +9,7 @@
 local band = require("yapp.base.bits").band
 local input = require "yapp.base.input"
 local kinds = require "yapp.stat.kinds"
+local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 local socketcan = require "yapp.wire.socketcan"
@@ -36,8 +37,7 @@ local REPORTS = input.rows("name bits is_event is_state", {
   { "arbitration", 0x02 },
   { "bus", 0x290 }, -- and all that has no other name
 })
-local NAMES = {}
-for i, report in ipairs(REPORTS) do NAMES[i] = report.name end
+local NAMES = mapped(REPORTS, function(report) return report.name end)
 
 --- Return what an error frame reports: a list of rows of REPORTS, the gravest first, and of several
 -- states only that one.
@@ -94,13 +94,12 @@ end
 -- for none.
 -- event   of an ID or bus; bus_events = list of the `bus` events of the capture
 function M.near(event, bus_events)
-  local kind, texts = event.kind, {}
+  local kind = event.kind
   local is_wanted = kinds.BY_NAME[kind].hides or kind == "silence" or kind == "fault"
-  for _, one in ipairs(event.time and is_wanted and bus_events or {}) do
-    if one.source.bus == event.source.bus and kinds.is_near(event, one.time) then
-      texts[#texts + 1] = ("%s at %.3f s"):format(one.values.what, one.time)
-    end
-  end
+  local texts = mapped(event.time and is_wanted and bus_events or {}, function(one)
+    local is_near = one.source.bus == event.source.bus and kinds.is_near(event, one.time)
+    return is_near and ("%s at %.3f s"):format(one.values.what, one.time)
+  end)
   return texts[1] and "bus " .. table.concat(texts, ", ")
 end
 
@@ -195,11 +194,11 @@ local function share(self, bits, seconds)
 end
 
 local function complete_row(self, bus, ending)
-  local texts, length = {}, 0
-  for _, name in ipairs(NAMES) do
+  local length = 0
+  local texts = mapped(NAMES, function(name)
     local count = bus.counts[name]
-    if count > 0 then texts[#texts + 1] = count .. " " .. name end
-  end
+    return count > 0 and count .. " " .. name
+  end)
   bus.errors = { json = output.object(NAMES, bus.counts).json, text = table.concat(texts, ", ") }
   if bus.begin and not ending.lacks_times then length = span(bus.begin, bus.latest) end
   bus.rate = length > 0 and (bus.frames - 1) / length or nil

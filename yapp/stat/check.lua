@@ -7,6 +7,7 @@ local groups = require "yapp.stat.groups"
 local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
 local judge = require "yapp.stat.judge"
+local mapped = require "yapp.base.mapped"
 local output = require "yapp.stat.output"
 local rules = require "yapp.stat.rules"
 local utf8 = require "yapp.base.utf8"
@@ -134,9 +135,9 @@ function M:judge(ending)
   local rows, sorted = {}, self:sort()
   self.ending = ending
   for _, rule in ipairs(self.options.rules) do
-    local measure, about = rule.measure, {}
-    for _, group in ipairs(rule.kind.scope == "capture" and { self.capture } or sorted) do
-      if group == self.capture or is_about(rule, group) then about[#about + 1] = group end
+    local measure, about = rule.measure, { self.capture }
+    if rule.kind.scope ~= "capture" then
+      about = mapped(sorted, function(group) return is_about(rule, group) and group end)
     end
     if not about[1] then measure, about[1] = measure_none, self.capture end
     for _, group in ipairs(about) do
@@ -160,33 +161,27 @@ end
 
 -- Return the element of a row.
 local function case_of(row)
-  local texts, name = {}, row.rule or row.note
+  local name = row.rule or row.note
   for _, key in ipairs { "bus", "id", "source" } do
     if row[key] then name = name .. " " .. output.text(row[key]) end
   end
-  for _, key in ipairs { "seen", "worst", "margin", "percent", "note", "frame" } do
-    if row[key] then texts[#texts + 1] = key .. " " .. output.text(row[key]) end
-  end
+  local texts = mapped({ "seen", "worst", "margin", "percent", "note", "frame" }, function(key)
+    return row[key] and key .. " " .. output.text(row[key])
+  end)
   return CASE:format(escape(name), row.ok.case:format(escape(table.concat(texts, ", "))))
 end
 
 -- Return how many rows have a verdict.
 local function count(rows, verdict)
-  local number = 0
-  for _, row in ipairs(rows) do
-    if row.ok == verdict then number = number + 1 end
-  end
-  return number
+  return #mapped(rows, function(row) return row.ok == verdict end)
 end
 
 -- Write it; return an error, nil for none.
 local function write_report(path, rows)
   local file, problem = output.create(path)
   if not file then return problem end
-  local cases = {}
-  for i, row in ipairs(rows) do cases[i] = case_of(row) end
-  local text = table.concat(cases)
-  file:write(REPORT:format(#rows, count(rows, FAILED), count(rows, UNJUDGED), text))
+  local cases = table.concat(mapped(rows, case_of))
+  file:write(REPORT:format(#rows, count(rows, FAILED), count(rows, UNJUDGED), cases))
   return output.close_files { file }
 end
 

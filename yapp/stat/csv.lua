@@ -8,6 +8,7 @@
 local input = require "yapp.base.input"
 local inventory = require "yapp.stat.inventory"
 local joined = require "yapp.base.joined"
+local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 local text_of = require "yapp.message.text"
@@ -49,8 +50,9 @@ end
 
 -- Begin the table of a message.
 local function begin(self, message_type, file)
-  local names, row = {}, { file = file.path, rows = 0, to = file }
-  for i, column in ipairs(columns_of(self, message_type)) do names[i] = column.name end
+  local row = { file = file.path, rows = 0, to = file }
+  local names =
+    mapped(columns_of(self, message_type), function(column) return column.name end)
   file:write(table.concat(names, ",") .. "\n")
   self.tables[message_type] = row
   table.insert(self.list, row)

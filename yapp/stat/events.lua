@@ -10,6 +10,7 @@ local clock_of = require("yapp.message.history").clock_of
 local compiler = require "yapp.message.catalogue"
 local field_kinds = require "yapp.message.field_kinds"
 local kinds = require "yapp.stat.kinds"
+local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
 local number_of = require("yapp.base.frame_key").number
 local output = require "yapp.stat.output"
@@ -158,7 +159,7 @@ end
 -- The event `disabled` is handed on at once; its values change when motors are enabled again.
 -- turning  sources that a Command turns off, see message.history; nil for none
 local function add_command(self, state, event, enabled, turning)
-  local disabled, names = state.disabled, {}
+  local disabled = state.disabled
   if enabled == 1 and disabled then
     local length = span(disabled.at, event.at)
     -- Equal stamps tell nothing.
@@ -168,7 +169,7 @@ local function add_command(self, state, event, enabled, turning)
     state.disabled = nil
   end
   if not turning then return end
-  for i, source in ipairs(turning) do names[i] = output.row(source, {}).who end
+  local names = mapped(turning, function(source) return output.row(source, {}).who end)
   output.sort(names, output.sortable)
   local values = { motors = table.concat(names, ", "), rest = "never enabled again" }
   state.disabled = new_follower("disabled", event, values)

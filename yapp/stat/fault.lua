@@ -315,7 +315,7 @@ end
 -- Return the row of a card, with the rows of its sections.
 local function row_of(self, card, ending)
   local cause, all = card.cause, {}
-  local by_source = memo(function() return {} end, all) -- messages of the ten seconds before
+  local by_source = memo(nil, all) -- messages of the ten seconds before
   local row = output.row(cause.source, {
     incident = card.number,
     incidents = self.count,

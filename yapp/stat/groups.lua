@@ -49,11 +49,6 @@ end
 
 -- Groups ----------------------------------------------------------------------------------------
 
--- A list of the values of each source, with worst, frame and rel: see M.update_spread.
-local function new_spread()
-  return {}
-end
-
 -- Of a kind of event: seen = how many, frame and values = of the first, cause = of the latest.
 local function new_count()
   return { seen = 0, values = kinds.NOTHING }
@@ -83,7 +78,9 @@ function M.class(class)
       list = {}, -- of groups; by_source = the same, by source
       capture = { counts = memo(new_count) }, -- a group: the events of the whole capture
       absent = {}, -- by source: true if none of its messages came
-      spreads = memo(new_spread), -- by field, or by rule
+      -- By field, or by rule: a list of the values of each source, with worst, frame and rel, see
+      -- M.update_spread.
+      spreads = memo(),
     }, class)
     self.by_source = memo(function(source)
       local message_type = source.type

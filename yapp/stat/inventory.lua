@@ -2,7 +2,9 @@
 -- The inventory, fields.json: all that the plugin publishes, from the rows that make it.  Pages,
 -- tests and yapp-tables follow it.  Pure Lua, 5.2 to 5.5.
 
+local input = require "yapp.base.input"
 local kinds = require "yapp.stat.kinds"
+local mapped = require "yapp.base.mapped"
 local output = require "yapp.stat.output"
 local rules = require "yapp.stat.rules"
 
@@ -10,21 +12,14 @@ local M = {}
 
 local object = output.object
 
--- Return a list of an object for each row.
--- values_of  function(row) -> its values by key
-local function list(rows, keys, values_of)
-  local values = {}
-  for i, row in ipairs(rows) do values[i] = values_of(row) end
-  return output.objects(keys, values)
-end
-
--- The same of rows whose values, which become texts, stand in the order of the keys.
+-- Return a list of an object for each row, whose values, which become texts, stand in the order of
+-- the keys.
 local function list_in_order(rows, keys)
-  return list(rows, keys, function(row)
+  return output.objects(keys, mapped(rows, function(row)
     local values = {}
-    for i, key in ipairs(output.words(keys)) do values[key] = tostring(row[i]) end
+    for i, key in ipairs(input.words(keys)) do values[key] = tostring(row[i]) end
     return values
-  end)
+  end))
 end
 
 -- Return an object with the name of each row, and what a function makes of it.
@@ -38,7 +33,7 @@ end
 local function meanings(values)
   local keys, texts = {}, {}
   for value, text in pairs(values) do
-    local key = type(value) == "number" and ("%.0f"):format(value) or value
+    local key = ("%.0f"):format(value)
     keys[#keys + 1], texts[key] = key, text
   end
   table.sort(keys, function(a, b) return tonumber(a) < tonumber(b) end)
@@ -81,8 +76,8 @@ local function describe_message(message_type, columns)
   return object("title every columns formulas", {
     title = message_type.title,
     every = message_type.every,
-    columns = list(columns, COLUMN_KEYS, column_values),
-    formulas = list(message_type.generated, FORMULA_KEYS, formula_values),
+    columns = output.objects(COLUMN_KEYS, mapped(columns, column_values)),
+    formulas = output.objects(FORMULA_KEYS, mapped(message_type.generated, formula_values)),
   })
 end
 

@@ -5,6 +5,7 @@
 local buses = require "yapp.stat.buses"
 local input = require "yapp.base.input"
 local kinds = require "yapp.stat.kinds"
+local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 
@@ -141,7 +142,7 @@ end
 -- Return a list with one event for each line: their sum, or of a controller that of its fastest
 -- message.
 local function merge(list)
-  local merged, by_owner = {}, memo(function() return {} end)
+  local merged, by_owner = {}, memo()
   for _, event in ipairs(list) do
     local owner, line = line_of(event)
     local lines, is_controller = by_owner[owner], owner == event.kind
@@ -161,12 +162,10 @@ end
 
 --- End, see stat.answer.
 function Lists:finish(ending, notes)
-  local context, what, list, rows, code = self.context, self.what, {}, {}, nil
-  for _, event in ipairs(self.list) do
-    if not (ending.lacks_times and kinds.BY_NAME[event.kind].needs_time) then
-      list[#list + 1] = event
-    end
-  end
+  local context, what, code = self.context, self.what, nil
+  local list = mapped(self.list, function(event)
+    return not (ending.lacks_times and kinds.BY_NAME[event.kind].needs_time) and event
+  end)
   local count = 0
   if what == "events" then
     count = #list
@@ -179,9 +178,9 @@ function Lists:finish(ending, notes)
     code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
   end
   local keys = what == "faults" and FAULT_KEYS
-  for i, event in ipairs(list) do
-    rows[i] = M.event_row(context, event, ending, buses.near(event, self.bus_events), keys)
-  end
+  local rows = mapped(list, function(event)
+    return M.event_row(context, event, ending, buses.near(event, self.bus_events), keys)
+  end)
   output.print(context, ("YAPP %s: %s"):format(what, count), M.COLUMNS[what], rows, notes)
   return code
 end

@@ -4,6 +4,7 @@
 
 local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
+local mapped = require "yapp.base.mapped"
 local utf8 = require "yapp.base.utf8"
 
 local M = {}
@@ -46,20 +47,21 @@ end
 -- value is null.
 -- keys  a list, or a text: "time frame bus"
 function M.object(keys, values)
-  local texts = {}
-  for i, key in ipairs(type(keys) == "string" and M.words(keys) or keys) do
-    texts[i] = text_value(key) .. ":" .. M.value(values[key])
-  end
+  local list = type(keys) == "string" and input.words(keys) or keys
+  local texts = mapped(list, function(key)
+    return text_value(key) .. ":" .. M.value(values[key])
+  end)
   return { json = "{" .. table.concat(texts, ",") .. "}" }
 end
 
 --- A list of values.
 function M.list(values)
-  local texts = {}
-  for i, value in ipairs(values) do
-    texts[i] = M.value(value)
-  end
-  return { json = "[" .. table.concat(texts, ",") .. "]" }
+  return { json = "[" .. table.concat(mapped(values, M.value), ",") .. "]" }
+end
+
+--- A list of an object for each row; its keys are those given, or its own.
+function M.objects(keys, rows)
+  return M.list(mapped(rows, function(row) return M.object(keys or row.keys, row) end))
 end
 
 -- Values ----------------------------------------------------------------------------------------
@@ -118,15 +120,6 @@ end
 
 -- Rows ------------------------------------------------------------------------------------------
 
---- A list of the words of a text.
-function M.words(text)
-  local list = {}
-  for word in text:gmatch("%S+") do
-    list[#list + 1] = word
-  end
-  return list
-end
-
 -- Columns of several statistics, by name; those without a type are for people alone.
 local COMMON = {}
 for _, column in ipairs(input.rows("name type help", {
@@ -168,13 +161,10 @@ end
 -- names    a text
 -- by_name  the columns that have a title
 local function list_columns(names, by_name, is_window)
-  local list = M.words(names)
-  for i, name in ipairs(list) do
+  return mapped(input.words(names), function(name)
     local column = by_name[name] or COMMON[name] or {}
-    local title = is_window and column.short or column.title or name
-    list[i] = { name = name, title = title }
-  end
-  return list
+    return { name = name, title = is_window and column.short or column.title or name }
+  end)
 end
 
 --- Describe the columns of a table.
@@ -189,44 +179,31 @@ end
 -- window   the same in a window, which is narrow; nil for the same columns
 -- returns  { json = list of names, text, window = lists of { name, title }, all = all rows }
 function M.columns(rows, text, window)
-  local all, json, by_name = {}, {}, {}
+  local all, by_name = {}, {}
   local function add(column)
     local name, unit = column.name, column.unit
     column.title = column.title or unit and name .. "/" .. unit or name
     all[#all + 1], by_name[name] = column, column
-    if column.type then json[#json + 1] = name end
   end
   for _, row in ipairs(rows) do
     if type(row) == "table" then
       add(input.rows("name type help", { row })[1])
     else
-      for name in row:gmatch("%S+") do add(COMMON[name]) end
+      for _, name in ipairs(input.words(row)) do add(COMMON[name]) end
     end
   end
   return {
     all = all,
-    json = json,
+    json = mapped(all, function(column) return column.type and column.name end),
     text = list_columns(text, by_name),
     window = list_columns(window or text, by_name, true),
   }
 end
 
---- A list of an object for each row; its keys are those given, or its own.
-function M.objects(keys, rows)
-  local objects = {}
-  for i, row in ipairs(rows) do
-    objects[i] = M.object(keys or row.keys, row)
-  end
-  return M.list(objects)
-end
-
 --- Return the columns of JSON as fields.json has them.
 -- columns  of M.columns
 function M.describe(columns)
-  local list = {}
-  for _, column in ipairs(columns.all) do
-    if column.type then list[#list + 1] = column end
-  end
+  local list = mapped(columns.all, function(column) return column.type and column end)
   return M.objects("name type unit title help", list)
 end
 
@@ -281,13 +258,12 @@ end
 --- Print a table with aligned columns, a line a row.
 -- context, columns, rows  see M.print
 function M.table(context, columns, rows)
-  local frames, list = context.frames, {}
-  for _, column in ipairs(frames and columns.window or columns.text) do
-    table.insert(list, cells_of(column, rows, frames))
-  end
+  local frames = context.frames
+  local list = mapped(frames and columns.window or columns.text, function(column)
+    return cells_of(column, rows, frames)
+  end)
   for line = 1, #rows + 1 do
-    local texts = {}
-    for i, cells in ipairs(list) do texts[i] = cells[line] end
+    local texts = mapped(list, function(cells) return cells[line] end)
     -- gsub("%s*$") would try each blank as the first of the last ones.
     context.out((table.concat(texts, "  "):match(".*%S") or "") .. "\n")
   end

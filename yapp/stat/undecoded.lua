@@ -24,7 +24,7 @@ function M.new(settings)
     -- message types of this size, about = a text, values = of its events }.
     whole = {},
     parts = {}, -- the same of those whose first bytes were decoded
-    by_source = memo(function() return {} end), -- by source, by size
+    by_source = memo(), -- by source, by size
   }, Undecoded)
 end
 
@@ -115,7 +115,7 @@ end
 
 -- Return the complete preferences that decode the rest: a text, "" for none.
 local function advice_of(self)
-  local settings, ids_by_type, advice = self.settings, memo(function() return {} end), ""
+  local settings, ids_by_type, advice = self.settings, memo(), ""
   for id, like in pairs(types_by_id(self)) do table.insert(ids_by_type[like], id) end
   for _, message_type in ipairs(settings.catalogue.messages) do
     local ids = ids_by_type[message_type]
