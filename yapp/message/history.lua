@@ -10,6 +10,7 @@ local binary = require "yapp.message.binary"
 local field_kinds = require "yapp.message.field_kinds"
 local last_until = require "yapp.base.frame_key".last_until
 local faults_of = require "yapp.message.faults"
+local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
 
 local M = {}
@@ -249,8 +250,19 @@ local function is_ignored(message)
   return false
 end
 
--- "disabled": the sources of the motors that turn and that a Command turns off.
-local function detect_disabled(source, message)
+-- Return the change from one Command to the next.
+local function command_change(source, before, enabled)
+  if before and before ~= 1 and enabled == 1 then return "enabled", true end
+  if before ~= 1 or enabled ~= 0 then return nil end
+  local turning = mapped(source.motors or {}, function(motor)
+    return motor.speed > TURNING * motor.highest and motor.source
+  end)
+  return turning[1] and "disabled", turning
+end
+
+-- "disabled": the sources of the motors that turn and that a Command turns off; "enabled" if it
+-- turns motors on.
+local function detect_command(source, message)
   local raws = message.raws
   if raws and source.read_speed then
     local speed = math.abs(source.read_speed(raws))
@@ -259,19 +271,15 @@ local function detect_disabled(source, message)
     end
   end
   if not (raws and source.enables) or is_ignored(message) then return nil end
-  local before, enabled, turning = source.enabled, raws[source.enables.index], {}
+  local before, enabled = source.enabled, raws[source.enables.index]
   source.enabled = enabled
-  if before ~= 1 or enabled ~= 0 then return nil end
-  for _, motor in ipairs(source.motors or turning) do
-    if motor.speed > TURNING * motor.highest then insert(turning, motor.source) end
-  end
-  return turning[1] and "disabled", turning
+  return command_change(source, before, enabled)
 end
 
 -- The detectors, in the order in which they need each other.  A new change is one of them, a row of
 -- stat.kinds (its event) and a row of show.fields (its expert item).
 local DETECTORS =
-  { detect_clock, detect_flags, detect_faults, detect_missing, detect_late, detect_disabled }
+  { detect_clock, detect_flags, detect_faults, detect_missing, detect_late, detect_command }
 
 -- Return the change of a good message, nil for none.
 local function update(source, message, delta, time, clock)
@@ -314,6 +322,7 @@ end
 --            changed
 --   faults   of these flags the faults that rise or fall, see message.faults
 --   disabled  list of the sources whose motors turn and are turned off
+--   enabled  true if a Command turns motors on
 --   shared   true at the message that proves that several controllers share the source
 --   unreliable  true at the messages behind that one, which get nothing else }
 --          and the seconds since the source's previous good message, false for the first, and

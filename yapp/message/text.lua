@@ -113,14 +113,13 @@ function M.flag_names(field, raw)
   if raw == 0 then return "" end
   local latest = latest_names[field]
   if latest.raw == raw then return latest.names end
-  local faults, others = {}, {}
-  for _, flag in ipairs(field.flags) do
-    local names = band(flag.mask, field.alarm_bits) ~= 0 and faults or others
-    if band(raw, flag.mask) ~= 0 then names[#names + 1] = flag.name end
+  local function names_of(bits)
+    return mapped(field.flags, function(flag) return band(bits, flag.mask) ~= 0 and flag.name end)
   end
-  local undefined = band(raw, field.undefined)
-  if undefined ~= 0 then others[#others + 1] = format("undefined 0x%x", undefined) end
-  latest.raw, latest.names = raw, concat(joined(faults, others), ", ")
+  local faults, undefined = band(raw, field.alarm_bits), band(raw, field.undefined)
+  local rest = undefined ~= 0 and format("undefined 0x%x", undefined) or nil
+  latest.raw = raw
+  latest.names = concat(joined(names_of(faults), names_of(raw - faults), { rest }), ", ")
   return latest.names
 end
 
@@ -134,12 +133,10 @@ end
 -- none.
 -- raws  of the message's reader
 function M.faults(message_type, raws)
-  local texts = {}
-  for _, field in ipairs(message_type.alarms) do
+  return concat(mapped(message_type.alarms, function(field)
     local names = M.fault_names(field, raws[field.index])
-    if names ~= "" then texts[#texts + 1] = names end
-  end
-  return concat(texts, ", ")
+    return names ~= "" and names
+  end), ", ")
 end
 
 -- CSV --------------------------------------------------------------------------------------------

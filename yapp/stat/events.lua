@@ -157,10 +157,9 @@ end
 -- Commands ----------------------------------------------------------------------------------------
 
 -- The event `disabled` is handed on at once; its values change when motors are enabled again.
--- turning  sources that a Command turns off, see message.history; nil for none
-local function add_command(self, state, event, enabled, turning)
-  local disabled = state.disabled
-  if enabled == 1 and disabled then
+local function add_command(self, state, event, change)
+  local disabled, turning = state.disabled, change.disabled
+  if change.enabled and disabled then
     local length = span(disabled.at, event.at)
     -- Equal stamps tell nothing.
     local seconds = length > 0 and output.seconds(length) or nil
@@ -176,26 +175,21 @@ local function add_command(self, state, event, enabled, turning)
   self.hand_on(state.disabled)
 end
 
--- Add the values that the catalogue does not define.  A controller ignores a Command with an
--- undefined key: return whether it is so.
+-- Add the values that the catalogue does not define.
 local function add_invalid(self, event)
-  local is_ignored = false
   for _, remark in ipairs(event.values.remarks) do
     local index, expert, is_undefined = remark[1], remark[2], remark[3]
     if is_undefined then
       local field, raw = event.source.type.fields[index], event.raws[index]
       local shape = field_kinds.BY_NAME[field.kind].code or "0x%02x" -- as the document has it
-      local is_key = expert == "command.key.invalid"
-      is_ignored = is_ignored or is_key
       emit(self, "invalid", event, {
         field = field.name,
         value = raw,
         code = shape:format(raw),
-        effect = is_key and ", so it was ignored",
+        effect = expert == "command.key.invalid" and ", so it was ignored",
       })
     end
   end
-  return is_ignored
 end
 
 -- Account for the time between two messages of a source: has it room for others, is it a silence?
@@ -226,12 +220,8 @@ local function add_message(self, state, event)
     if state.every and not values.is_unreliable then add_span(self, state, last, event, change) end
   end
   self.hand_on(event)
-  if event.raws then
-    local is_ignored, enables = add_invalid(self, event), event.source.type.enables
-    if enables and not is_ignored then
-      add_command(self, state, event, event.raws[enables.index], change.disabled)
-    end
-  end
+  if event.raws then add_invalid(self, event) end
+  add_command(self, state, event, change)
   if change ~= NOTHING then add_changes(self, event, change) end
 end
 

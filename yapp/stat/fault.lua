@@ -10,6 +10,7 @@ local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
 local lists = require "yapp.stat.lists"
+local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 local text_of = require "yapp.message.text"
@@ -147,33 +148,31 @@ end
 
 -- What changed ------------------------------------------------------------------------------------
 
--- Return the distance of each value from the median of those before it, that median, and the usual
--- spread of a field.
+-- Return how far each value is from the median of those before it, these medians, and the usual
+-- spread of the values.
 local function find_distances(values, field)
   local step = field.min and (field.max - field.min) / field.ordinary or field.scale or 0
   local distances, middles, calm = {}, {}, {}
   for i, value in ipairs(values) do
-    distances[i], middles[i] = 0, value
-    if i > MIN_VALUES then
-      middles[i] = groups.median { unpack(values, math.max(1, i - WINDOW), i - 1) }
-      if value ~= middles[i] then distances[i] = abs(value - middles[i]) end
-      insert(calm, distances[i])
-    end
+    local before = { unpack(values, math.max(1, i - WINDOW), i - 1) }
+    local has_middle = before[MIN_VALUES]
+    local middle = has_middle and groups.median(before) or value
+    middles[i], distances[i] = middle, value == middle and 0 or abs(value - middle)
+    if has_middle then insert(calm, distances[i]) end
   end
   table.sort(calm)
   local usual = (calm[math.ceil(#calm / 3)] or 0) / CALM
-  return distances, middles, math.max(step, usual + usual * FEW / math.max(1, #calm))
+  return distances, middles, math.max(step, usual * (1 + FEW / math.max(1, #calm)))
 end
 
 -- Return the index of the value that left its range, with the next one or as the last one; the
 -- usual value and the usual spread.  Nil if none did.
 local function find_departure(values, field)
   local distances, middles, spread = find_distances(values, field)
-  local limit, sizes, largest = FACTOR * spread, {}, 0
+  local limit, sizes, largest, last = FACTOR * spread, {}, 0, #values
   for i, distance in ipairs(distances) do
-    local is_last = i == #distances
-    sizes[i] = math.min(distance, is_last and distance / ALONE or distances[i + 1])
-    if sizes[i] > limit and not is_last then largest = math.max(largest, sizes[i]) end
+    sizes[i] = math.min(distance, distances[i + 1] or distance / ALONE)
+    if i < last and sizes[i] > limit then largest = math.max(largest, sizes[i]) end
   end
   -- What changes with the fault itself matters only if nothing did before.
   for i, size in ipairs(sizes) do
@@ -202,13 +201,12 @@ end
 
 -- Return the values of a field, or of one of its flags, as numbers.
 local function values_of(messages, field, flag)
-  local values, read = {}, field_kinds.reader[field]
-  for i, event in ipairs(messages) do
+  local read = field_kinds.reader[field]
+  return mapped(messages, function(event)
     local number = read(event.raws)
-    if flag then number = band(number, flag.mask) == 0 and 0 or 1 end
-    values[i] = number == number and number or math.huge -- of a reserved value
-  end
-  return values
+    if flag then return band(number, flag.mask) == 0 and 0 or 1 end
+    return number == number and number or math.huge -- of a reserved value
+  end)
 end
 
 -- Return a number as people read it.
@@ -277,12 +275,11 @@ end
 -- Return the messages of the Command before a fault: the controller's own, else the latest of its
 -- bus.
 local function find_command(source, all)
-  local commands = {}
-  for _, messages in ipairs(all) do
+  local commands = mapped(all, function(messages)
     local other = messages[1].source
     local is_command = other.bus_key == source.bus_key and other.type.name == source.type.answers
-    if is_command then insert(commands, messages) end
-  end
+    return is_command and messages
+  end)
   output.sort(commands, function(messages)
     local latest = messages[#messages]
     return is_same_controller(latest.source, source) and 1 or 0, latest.frame
@@ -328,7 +325,7 @@ local function row_of(self, card, ending)
   local function event_row(event)
     return new_row(card, event, lists.event_row(self.context, event, ending))
   end
-  for i, event in ipairs(card.flags) do row.flags[i] = event_row(event) end
+  row.flags = mapped(card.flags, event_row)
   for _, event in ipairs(card.events) do
     if event.kind == "message" then
       local is_before = event.frame <= cause.frame and cause.time - event.time <= BEFORE_FAULT
