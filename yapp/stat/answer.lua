@@ -13,6 +13,7 @@
 local fault_event = require("yapp.stat.events").fault_event
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
+local mapped = require "yapp.base.mapped"
 local output = require "yapp.stat.output"
 local undecoded = require "yapp.stat.undecoded"
 
@@ -119,11 +120,10 @@ end
 
 -- The faults that are still set at the last message of their source that counts.
 local function count_active_faults(self, states)
-  local list = {}
-  for _, state in ipairs(states) do
+  local list = mapped(states, function(state)
     local event = self.latest[state.source]
-    if event and event.faults then list[#list + 1] = event end
-  end
+    return event and event.faults and event
+  end)
   output.sort(list, function(event) return event.frame end)
   for _, event in ipairs(list) do
     for _, fault in ipairs(event.faults) do
@@ -158,16 +158,13 @@ end
 
 -- Return a text: how many damaged or lost messages may have had a fault; nil for none.
 local function hidden_faults_text(self, states)
-  local texts = {}
-  local function add(count, what)
-    if (count or 0) > 0 then texts[#texts + 1] = count .. " " .. what end
-  end
-  for _, row in ipairs(kinds.LIST) do
-    if row.hides then add(self.hiding[row.name], row.hides) end
-  end
   local missing, silent = count_missing(self.matched and NOTHING or states) -- a filter makes gaps
-  add(missing, "missing by their period")
-  add(silent, "of them in silences that are listed")
+  local texts = mapped(kinds.LIST, function(row)
+    local count = row.hides and self.hiding[row.name]
+    return count and count .. " " .. row.hides
+  end)
+  if missing > 0 then table.insert(texts, missing .. " missing by their period") end
+  if silent > 0 then table.insert(texts, silent .. " of them in silences that are listed") end
   return texts[1] and HIDDEN .. table.concat(texts, ", ")
 end
 

@@ -238,21 +238,16 @@ end
 -- Return the title of a column and its texts, of one width, numbers to the right; nil if no row has
 -- anything there.
 local function cells_of(column, rows, is_window)
-  local texts, is_number, is_empty = { column.title }, true, true
-  for i, row in ipairs(rows) do
-    local text = M.text(row[column.name], is_window)
-    texts[i + 1] = text
-    is_number = is_number and not text:find("[^%d.e+-]")
-    is_empty = is_empty and text == ""
-  end
-  if is_empty then return nil end
-  local width = 0
+  local texts = mapped(rows, function(row) return M.text(row[column.name], is_window) end)
+  local all, width = table.concat(texts), 0
+  if all == "" then return nil end
+  local is_number = not all:find("[^%d.e+-]")
+  table.insert(texts, 1, column.title)
   for _, text in ipairs(texts) do width = math.max(width, width_of(text)) end
-  for i, text in ipairs(texts) do
+  return mapped(texts, function(text)
     local blanks = (" "):rep(width - width_of(text))
-    texts[i] = is_number and blanks .. text or text .. blanks
-  end
-  return texts
+    return is_number and blanks .. text or text .. blanks
+  end)
 end
 
 --- Print a table with aligned columns, a line a row.
