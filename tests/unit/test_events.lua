@@ -42,11 +42,9 @@ local function message(with)
   return m
 end
 
--- The result of a frame; with: of message(), and length.
+-- The result of a frame; with: of message(), and the values of its event.
 local function result(kind, with)
-  local one = records.new_result(kind, message(with))
-  one.length = with and with.length or 0
-  return one
+  return records.new_result(kind, message(with), with and with.values)
 end
 
 local function report_message(events, m)
@@ -89,7 +87,7 @@ function T.test_frames_that_may_be_messages()
   local events = new_events()
   local function reported(source, seq, size)
     local count = #events.undissected
-    events:report(result("undissected", { source = source, seq = seq, length = size }))
+    events:report(result("undissected", { source = source, seq = seq, values = { size = size } }))
     return #events.undissected > count
   end
   local other = { id = 7, bus = "can0" }
@@ -178,7 +176,7 @@ function T.test_bytes_of_no_frame()
   local events, list = new_events()
   local stream, other = { bus = "ttyA" }, {}
   local function skipped(line, frame)
-    events:report(result("skipped", { frame = frame, time = frame, source = line, length = 9 }))
+    events:report(result("skipped", { frame = frame, time = frame, source = line, values = { length = 9 } }))
   end
   skipped(stream, 3)
   skipped(other, 4)

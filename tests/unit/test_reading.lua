@@ -77,7 +77,7 @@ local function in_words(result)
   if not result then return "-" end
   local text, message = result.kind, result.message
   if message then text = ("%s %s %s"):format(text, message.status, message.source.label) end
-  if result.kind == "skipped" then text = text .. " " .. result.length end
+  if result.kind == "skipped" then text = text .. " " .. result.values.length end
   for _, anomaly in ipairs(result.anomalies or {}) do text = text .. "+" .. anomaly.expert end
   local change = message and message.change
   for _, name in ipairs(change and { "missing", "reboot", "late" } or {}) do

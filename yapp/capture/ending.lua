@@ -2,16 +2,17 @@
 -- Whether a file ends before its own end: its recorder lost power.  Wireshark shows what is there,
 -- and says nothing of a zstd stream, on 4.0 of lz4, with its exit code of BLF.  Pure Lua.
 
+local little_endian = require "yapp.base.little_endian"
+
 local M = {}
 
 local CUT = {} -- raised where bytes are missing
 
 -- Return the number in the next bytes, the lowest first.
 local function number(file, count)
-  local bytes, value = file:read(count) or "", 0
+  local bytes = file:read(count) or ""
   if #bytes < count then error(CUT) end
-  for i = count, 1, -1 do value = value * 0x100 + bytes:byte(i) end
-  return value
+  return little_endian(bytes, 1, count)
 end
 
 -- Go on behind bytes, the last of which has to be there.

@@ -2,19 +2,13 @@
 -- The numbers in the bytes of a payload, little endian ("YAPP Data Types", "Time"): integers of one
 -- to eight bytes, IEEE 754, times.  Pure Lua.
 
+local little_endian = require "yapp.base.little_endian"
+
 local M = {}
 
 local byte, format = string.byte, string.format
 
 local BILLION = 1000000000
-
--- Return the number of up to six bytes.
--- index  in the payload, 1-based
-local function count(payload, index, size)
-  local number = 0
-  for i = index + size - 1, index, -1 do number = number * 0x100 + byte(payload, i) end
-  return number
-end
 
 -- Divide high * 2^40 + low by 10^9, exactly: 2^40 is 1099 * 10^9 + 511627776.
 -- returns  the quotient, and the rest, of the same sign
@@ -29,10 +23,11 @@ end
 --- Return an integer: a number up to 2^53, beyond that its decimal digits.
 function M.integer(payload, index, size, is_signed)
   local low_size = size > 6 and 5 or 0
-  local number, range = count(payload, index + low_size, size - low_size), 0x100 ^ (size - low_size)
+  local high_size = size - low_size
+  local number, range = little_endian(payload, index + low_size, high_size), 0x100 ^ high_size
   if is_signed and number >= range / 2 then number = number - range end
   if size <= 6 then return number end
-  local billions, rest = divide(number, count(payload, index, 5))
+  local billions, rest = divide(number, little_endian(payload, index, 5))
   if math.abs(billions) < 9007199 then return billions * BILLION + rest end
   return format("%.0f%09.0f", billions, math.abs(rest))
 end
@@ -49,8 +44,8 @@ end
 
 --- Return an IEEE 754 number of four or eight bytes.
 function M.ieee(payload, index, size)
-  local high = count(payload, index + size - 4, 4)
-  local low = size == 8 and count(payload, index, 4) or 0
+  local high = little_endian(payload, index + size - 4, 4)
+  local low = size == 8 and little_endian(payload, index, 4) or 0
   local steps = size == 4 and 2 ^ 23 or 2 ^ 20 -- of the mantissa, in the four highest bytes
   local highest = 2 ^ 31 / steps - 1 -- exponent
   local sign, bias = high >= 2 ^ 31 and -1 or 1, (highest - 1) / 2

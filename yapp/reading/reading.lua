@@ -210,9 +210,7 @@ function Reading:report_undissected(frame)
   end
   if not size then return end
   frame.source = source
-  local result = records.new_result("undissected", frame)
-  result.length = size
-  report(self, result)
+  report(self, records.new_result("undissected", frame, { size = size }))
 end
 
 -- Streams -----------------------------------------------------------------------------------------
@@ -222,22 +220,22 @@ function Reading:new_framer()
   return framer.new(function(id) return self.types:size_of(id) end)
 end
 
--- Begin the result of a transfer in a packet.
+-- Make the frame of a transfer in a packet.
 -- index  of its finding
-local function new_transfer_result(self, kind, packet, transfer, index)
+local function new_frame(self, packet, transfer, index)
   local source = self.lines:source(packet.line, transfer.id)
-  local frame = records.new_serial_frame(packet, index, source, transfer.seq)
-  return records.new_result(kind, frame), frame
+  return records.new_serial_frame(packet, index, source, transfer.seq)
 end
 
 -- Return the result of a finding, with the message that it holds.
 -- index  of the finding in its packet
 local function finding_result(self, packet, finding, index)
   local transfer = streams.new_transfer(finding, packet.bytes)
-  local kind = transfer.status == "skipped" and "skipped" or "single"
-  local result, frame = new_transfer_result(self, kind, packet, transfer, index)
-  result.transfer, result.length = transfer, transfer.length
-  if kind == "skipped" then return result end
+  local frame = new_frame(self, packet, transfer, index)
+  local values = transfer.status == "skipped" and { length = transfer.length } or nil
+  local result = records.new_result(values and "skipped" or "single", frame, values)
+  result.transfer = transfer
+  if values then return result end
   local message, is_usual = self:read_message(frame, transfer)
   result.message, result.anomalies = message, transfer.anomalies
   result.is_usual = is_usual and not result.anomalies[1]
@@ -282,8 +280,7 @@ local function finish_frames(self, list)
     local transfer, key, frame = open.message, open.key, records.new_can_frame()
     frame.key, frame.number, frame.time = key, number_of(key), transfer.time
     frame.source, frame.seq = transfer.source, transfer.slot % 0x100
-    frame.can_id = can_id.fields[transfer.slot % BUS]
-    list[#list + 1] = records.new_result("unfinished", frame)
+    list[#list + 1] = records.new_result("unfinished", frame, {})
   end
 end
 
@@ -297,7 +294,7 @@ local function waiting_result(self, packet, finding, index, may_go_on)
     return finding_result(self, packet, finding, packet.length + index)
   end
   local transfer = streams.new_transfer(finding, packet.bytes)
-  return (new_transfer_result(self, "unfinished", packet, transfer, 1))
+  return records.new_result("unfinished", new_frame(self, packet, transfer, 1), {})
 end
 
 --- Return the results that wait when all packets have come: messages that the capture ends

@@ -63,15 +63,16 @@ end
 --          "other", which has no message; "skipped", bytes of no frame; "unfinished", a message
 --          that the capture cuts off; "undissected", which may be a message that is not decoded
 -- frame    see above
+-- values   of its event, see stat.kinds; nil for a result without an event of its own
 -- returns  all that the view and the statistics see
-function M.new_result(kind, frame)
+function M.new_result(kind, frame, values)
   return {
     kind = kind,
     frame = frame,
     transfer = false, -- that the frame belongs to, or false
     message = false, -- that it ends, or false
     anomalies = false, -- list of { expert, text, ... }, see can.reassembly; or false
-    length = 0, -- number of bytes: of skipped ones; size of an undissected message
+    values = values or false,
     is_usual = false, -- true if it needs no expert item
   }
 end

@@ -7,6 +7,8 @@
 --
 --   01 60 59 50 ...   62 bytes of the line behind 2 of status, then again 2 and up to 62
 
+local little_endian = require "yapp.base.little_endian"
+
 local M = {}
 
 local byte, floor, sub = string.byte, math.floor, string.sub
@@ -15,15 +17,6 @@ local BULK = 3 -- a transfer
 local SUBMIT, COMPLETE = byte("S"), byte("C") -- events of usbmon
 local STATUS = 2 -- bytes
 local FULL_SPEED, HIGH_SPEED = 64, 512 -- the largest packet of a bulk endpoint
-
-local function u16(bytes, offset)
-  local a, b = byte(bytes, offset + 1, offset + 2)
-  return a + b * 0x100
-end
-
-local function u32(bytes, offset)
-  return u16(bytes, offset) + u16(bytes, offset + 2) * 0x10000
-end
 
 -- By kind of packet: function(bytes) -> { bus, device, endpoint, transfer; offset, length = of its
 -- data }; nil for a packet without data that came in or went out.
@@ -36,12 +29,12 @@ local function usbmon(size)
     local has_data = byte(bytes, 16) == 0
     if not has_data or event ~= (endpoint >= 0x80 and COMPLETE or SUBMIT) then return nil end
     return {
-      bus = u16(bytes, 12),
+      bus = little_endian(bytes, 13, 2),
       device = device,
       endpoint = endpoint,
       transfer = transfer,
       offset = size,
-      length = u32(bytes, 32),
+      length = little_endian(bytes, 33, 4),
     }
   end
 end
@@ -54,12 +47,12 @@ function HEADERS.usbpcap(bytes)
   local endpoint, is_complete = byte(bytes, 22), byte(bytes, 17) % 2 == 1
   if is_complete ~= (endpoint >= 0x80) then return nil end
   return {
-    bus = u16(bytes, 17),
-    device = u16(bytes, 19),
+    bus = little_endian(bytes, 18, 2),
+    device = little_endian(bytes, 20, 2),
     endpoint = endpoint,
     transfer = byte(bytes, 23),
-    offset = u16(bytes, 0),
-    length = u32(bytes, 23),
+    offset = little_endian(bytes, 1, 2),
+    length = little_endian(bytes, 24, 4),
   }
 end
 

@@ -52,14 +52,10 @@ function M.append(list, result)
   local kind, frame = result.kind, result.frame
   if result.message then
     append_message(list, frame, result.message)
-  elseif kind == "skipped" then
-    append(list, kind, frame, { length = result.length })
   elseif kind == "bus_errors" then
     append(list, kind, frame, { reports = result.reports })
-  elseif kind == "undissected" then
-    append(list, kind, frame, { size = result.length }, frame)
-  elseif kind == "unfinished" then
-    append(list, kind, frame)
+  elseif result.values then
+    append(list, kind, frame, result.values, frame)
   end
   for _, anomaly in ipairs(result.anomalies or NOTHING) do
     local what = LOSSES[anomaly.expert]
