@@ -83,18 +83,70 @@ function T.test_what_rests_on_what_came_before()
   end
 end
 
--- By bus, then by ID.  Of the longest gaps the first one is told.
-function T.test_the_order_of_sources()
-  local records, ids = {}, {}
-  for i, one in ipairs { { 1, 0x300 }, { 2, 0x100 }, { 1, 0x200 }, { 2, 0x50 }, { 1, 0x250 } } do
-    records[i] = record(i, i, { source = { key = i, bus_key = one[1], bus = "can" .. one[1], id = one[2] }, fits = false })
+-- Random events of random sources, added up by a model; the rows are sorted by bus, then by ID.
+function T.test_random_summaries()
+  local stream = { bus_key = 3, bus = "tty" }
+  local sources = { LEFT, { bus_key = 1, bus = "can0", id = 0x20f, type = MOTOR }, ODD, stream,
+    { bus_key = 3, bus = "tty", id = 0x210, type = MOTOR, skipped = stream }, { bus_key = 2, bus = "can1", id = 0x200, type = MOTOR }, { bus_key = 2, bus = "can1", id = 0x50, type = MOTOR } }
+  local LOST = { crc = "crc_bad", incomplete = "incomplete", unfinished = "incomplete", copies = "copies" }
+  local KINDS = { "crc", "incomplete", "unfinished", "copies" }
+  for seed = 1, 100 do
+    math.randomseed(seed)
+    local records, rows, by_source, time, is_new_stretch = {}, {}, {}, 1, true
+    for frame = 1, math.random(60) do
+      local source = sources[math.random(#sources)]
+      local row, lost_kind = by_source[source], math.random(4) == 1 and KINDS[math.random(#KINDS)]
+      time, is_new_stretch = time + math.random(-1, 6) / 16, is_new_stretch or source.skipped ~= nil
+      if not row then
+        row = { source = source, count = 0, crc_bad = 0, incomplete = 0, late = 0, reboots = 0, invalid = 0, skipped = 0, missing = 0,
+          copies = 0, length = 0, volts = {} }
+        by_source[source], rows[#rows + 1] = row, row
+      end
+      if not source.id then
+        records[frame] = record(frame, time, { kind = "skipped", source = source, values = { length = frame }, fits = false })
+        if is_new_stretch then row.skipped, is_new_stretch = row.skipped + 1, false end
+      elseif lost_kind then
+        local values = lost_kind == "copies" and { of = frame } or { what = "overrun" }
+        records[frame] = record(frame, time, { kind = lost_kind, source = source, values = values, fits = false })
+        row[LOST[lost_kind]] = row[LOST[lost_kind]] + 1
+      else
+        local volts, mode, flags = math.random(0, 255), math.random(0, 3), math.random(0, 9)
+        local gap, missing, change = row.last and math.max(0, time - row.last), math.random(0, 2), {}
+        if missing > 0 then change.missing = missing end
+        if math.random(9) == 1 then change.reboot = 5 end
+        if gap and gap > 0.25 and source.type then change.late = gap end
+        records[frame] = record(frame, time, { source = source, change = change, fits = source.type ~= nil, payload = payload(volts, flags, mode) })
+        row.count, row.last, row.missing = row.count + 1, time, row.missing + missing
+        row.reboots, row.late = row.reboots + (change.reboot and 1 or 0), row.late + (change.late and 1 or 0)
+        if gap then
+          row.length, row.gap_min = row.length + gap, math.min(row.gap_min or gap, gap)
+          if gap > (row.gap_max or -1) then row.gap_max, row.gap_max_frame = gap, frame end
+          row.gap_mean = row.length / (row.count - 1)
+          row.rate = row.length > 0 and (row.count - 1) / row.length or nil
+        end
+        if source.type then
+          if mode == 1 or mode == 2 or flags > 7 then row.invalid = row.invalid + 1 end
+          if volts <= 250 then row.volts[#row.volts + 1] = volts end
+        end
+      end
+    end
+    table.sort(rows, function(a, b)
+      if a.source.bus ~= b.source.bus then return a.source.bus < b.source.bus end
+      return (a.source.id or 0) < (b.source.id or 0)
+    end)
+    local list = lines((run({ "summary,json" }, records)))
+    lu.assertEquals(#list, #rows)
+    for i, row in ipairs(rows) do
+      local found, source = {}, row.source
+      table.sort(row.volts)
+      row.min, row.max = row.volts[1], row.volts[#row.volts]
+      for _, volts in ipairs(row.volts) do row.mean = (row.mean or 0) + volts / #row.volts end
+      row.id, row.source, row.volts, row.last, row.length = source.id, nil, nil, nil, nil
+      lu.assertStrContains(list[i], ('{"bus":"%s",'):format(source.bus))
+      for key, value in list[i]:gmatch('"([%w_]+)":([%d.e+-]+)') do found[key] = tonumber(value) end
+      lu.assertAlmostEquals(found, row, 1e-8, seed)
+    end
   end
-  for _, id in run({ "summary,json" }, records):gmatch('"bus":"(can%d)","id":(%d+)') do ids[#ids + 1] = tonumber(id) end
-  lu.assertEquals(ids, { 0x200, 0x250, 0x300, 0x50, 0x100 })
-  lu.assertStrContains(run({ "summary,json" }, { record(1, 0), record(2, 0.5), record(3, 1) }), '"gap_max_frame":2,')
-  -- a gap is never below 0, as in files put together in the wrong order
-  lu.assertStrContains(run({ "summary,json" }, { record(1, 10), record(2, 8) }),
-    '"gap_min":0.000000000,"gap_mean":0.000000000,"gap_max":0.000000000,"gap_max_frame":2,')
 end
 
 -- faults and events ---------------------------------------------------------------------------------------------
