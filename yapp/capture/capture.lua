@@ -15,8 +15,7 @@ local files = require "yapp.capture.file"
 
 local M = {}
 
-local NAMES = {}
-for _, name in ipairs(files.FIELDS) do NAMES[name] = true end
+local read_fields = fields_of(files.FIELDS)
 local IS_TSHARK = not gui_enabled()
 local IS_WINDOWS = package.config:sub(1, 1) == "\\"
 local TOO_FAR = 2 ^ 62 -- offset that no file has
@@ -90,7 +89,7 @@ end
 local function find_later(self, number)
   local found, bus, may_be_first = self.found, self.kept[number], true
   if not bus then
-    local fields = fields_of(NAMES)
+    local fields = read_fields()
     bus = found:bus_by_fields(fields)
     may_be_first = bus or fields["frame.number"] -- CAN inside of another protocol sees no fields
   end
@@ -124,7 +123,7 @@ function Capture:init()
   self.bus_is_per_packet = found.needs_fields or found.has_several or
     not (plain_bus or found.is_told and not found.is_unknown)
   if found.needs_fields then
-    self.tap = self.tap or Listener.new("frame", table.concat(files.FIELDS, " || "))
+    self.tap = self.tap or Listener.new("frame", (files.FIELDS:gsub(" ", " || ")))
   elseif self.tap then
     self.tap:remove()
     self.tap = nil

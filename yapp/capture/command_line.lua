@@ -4,8 +4,8 @@
 
 local M = {}
 
-local HAS_VALUE = {} -- the letters of tshark 4.0 to 4.6 that a value follows
-for letter in ("aAbBcCdeEfFHijJkKmMNoOrRsStTuUwWXyYz"):gmatch(".") do HAS_VALUE[letter] = true end
+-- The letters of tshark 4.0 to 4.6 that a value follows.
+local HAVE_VALUES = "[aAbBcCdeEfFHijJkKmMNoOrRsStTuUwWXyYz]"
 -- The letters of long names.
 local LETTERS = {
   autostop = "a", ["ring-buffer"] = "b", ["read-file"] = "r", ["read-filter"] = "R",
@@ -17,9 +17,9 @@ local LETTERS = {
 local function parse_letters(found, letters)
   for i = 1, #letters do
     local letter = letters:sub(i, i)
-    local rest = letters:sub(i + 1)
-    found[letter] = HAS_VALUE[letter] and rest or ""
-    if HAS_VALUE[letter] then return rest == "" and letter or nil end
+    local rest, has_value = letters:sub(i + 1), letter:find(HAVE_VALUES)
+    found[letter] = has_value and rest or ""
+    if has_value then return rest == "" and letter or nil end
   end
 end
 

@@ -449,10 +449,8 @@ function File:bus_finder(compares_times, later)
 end
 
 --- Wireshark's fields that tell the bus of a packet; its number shows whether any can be seen.
-M.FIELDS = {
-  "frame.number", "frame.interface_id", "frame.interface_name", "frame.section_number",
-  "frame.packet_flags_direction", "sll.ifindex", "rtacser.eventtype",
-}
+M.FIELDS = "frame.number frame.interface_id frame.interface_name frame.section_number " ..
+  "frame.packet_flags_direction sll.ifindex rtacser.eventtype"
 
 -- Return the interface of a packet that was not read.
 local function interface_by_fields(self, fields)

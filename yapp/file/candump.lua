@@ -122,8 +122,6 @@ local KNOWN = {
 
 -- A file ------------------------------------------------------------------------------------------
 
-local NO_BUS = { [""] = true, any = true }
-
 -- Note the packets that candump lost, and the time of a frame.
 local function note(log, line, record, offset)
   local count, bus = line:match("^DROPCOUNT: dropped (%d+)[^']*'?([^',]*)")
@@ -131,7 +129,7 @@ local function note(log, line, record, offset)
     log:quote(line, "candump lost frames")
     log.drops[#log.drops + 1] = {
       count = tonumber(count),
-      bus = not NO_BUS[bus] and utf8.printable(bus) or nil,
+      bus = bus ~= "" and bus ~= "any" and utf8.printable(bus) or nil,
     }
   elseif record and log.has_deltas and record.seconds then
     log.clock = log.clock + record.seconds * SECOND + record.nanoseconds

@@ -161,18 +161,13 @@ local function record_of(log, line)
   return nil
 end
 
-local function has_one_of(line, patterns)
-  for _, pattern in ipairs(patterns) do
-    if find(line, pattern) then return true end
-  end
-  return false
-end
-
 -- Return what a line without a frame is: "known"; "lost", a frame before it was damaged; or
 -- "doubtful".
 local function kind_of(format, line)
   line = line:lower()
-  if has_one_of(line, format.known) then return "known" end
+  for _, pattern in ipairs(format.known) do
+    if find(line, pattern) then return "known" end
+  end
   for _, form in ipairs(format.forms) do
     if find(line, form.like) then return "lost" end
   end

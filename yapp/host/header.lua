@@ -12,7 +12,7 @@ local M = {}
 
 local EXTENDED, MASK = 0x80000000, 0x20000000
 local HEADER = 8 -- bytes that have the id
-local NAMES = { ["can.id"] = true, ["can.flags.xtd"] = true, ["can.flags.rtr"] = true }
+local read_fields = fields_of("can.id can.flags.xtd can.flags.rtr")
 -- Where CAN frames come from: table, and value in it.
 local ORIGINS = { { "wtap_encap", wtap.SOCKETCAN }, { "sll.ltype", 0x0C }, { "sll.ltype", 0x0D } }
 
@@ -50,7 +50,7 @@ end
 function Headers:find_id(pinfo)
   local is_read, header_id = self.wrapper:read(pinfo.number)
   if is_read then return header_id end
-  local fields = fields_of(NAMES)
+  local fields = read_fields()
   local id, extended = fields["can.id"], fields["can.flags.xtd"]
   if id ~= nil and extended ~= nil then return is_true(extended) and id % MASK or nil end
   -- "Ext. ID: 138428416 (0x8404000), Length: 8", as SocketCAN leaves it in the Info column.
@@ -64,7 +64,7 @@ end
 function Headers:is_remote(pinfo)
   local is_read, id = self.wrapper:read(pinfo.number)
   if is_read then return id == nil end
-  local remote = fields_of(NAMES)["can.flags.rtr"]
+  local remote = read_fields()["can.flags.rtr"]
   if remote ~= nil then return is_true(remote) end
 end
 

@@ -3,6 +3,7 @@
 
 local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
+local mapped = require "yapp.base.mapped"
 
 local M = {}
 
@@ -15,11 +16,11 @@ local is_said = {} -- by text
 -- dialog in Wireshark, on stderr in tshark.
 -- texts  list
 function M.complain(texts)
-  local new = {}
-  for _, text in ipairs(texts) do
-    if not is_said[text] then new[#new + 1] = text end
+  local new = mapped(texts, function(text)
+    local is_new = not is_said[text]
     is_said[text] = true
-  end
+    return is_new and text
+  end)
   if new[1] and gui_enabled() and report_failure then
     report_failure("YAPP: " .. table.concat(new, "\n"))
     return
@@ -46,16 +47,17 @@ end
 -- returns   a list of rows: { name, constructor, title, default, description, and the
 --           constructor's last argument }
 function M.define(proto, messages)
-  local of_messages, periods = {}, {}
-  for i, message in ipairs(messages) do
-    local title, id, period = message.title, ("0x%x"):format(message.id), message.every
+  local of_messages = mapped(messages, function(message)
+    local title, id = message.title, ("0x%x"):format(message.id)
     local about = ("The IDs that carry %s; %s by default, which Wireshark shows as %d. Change " ..
       "it if a controller has other IDs, or if several controllers share a bus: %s-0x%x."):format(
       title, id, message.id, id, message.id + 3)
     local label = ("%s message IDs (%s = %d)"):format(title, id, message.id)
-    of_messages[i] = { message.name .. "_ids", "range", label, id, about, input.MAX_ID }
-    if period then periods[#periods + 1] = ("%s %g s"):format(title, period) end
-  end
+    return { message.name .. "_ids", "range", label, id, about, input.MAX_ID }
+  end)
+  local periods = mapped(messages, function(message)
+    return message.every and ("%s %g s"):format(message.title, message.every)
+  end)
   local rows = joined(of_messages, {
     { "sources", "string", "Names of sources", "",
       "What to call an ID, everywhere or on one bus, and which message it carries: " ..

@@ -5,6 +5,7 @@
 local band = require "yapp.base.bits".band
 local binary = require "yapp.message.binary"
 local field_kinds = require "yapp.message.field_kinds"
+local mapped = require "yapp.base.mapped"
 local number_of = require "yapp.base.frame_key".number
 local show_fields = require "yapp.show.fields"
 local text_of = require "yapp.message.text"
@@ -87,10 +88,8 @@ ADD.time = new_adder(function(_, raw) return NSTime.new(binary.time(raw)) end)
 -- Flags, with those of their ProtoFields that are wanted.
 function ADD.flags(field, fields)
   local pf, names_pf = fields[field.filter], fields[field.filter .. ".names"]
-  local undefined_pf, flags = fields[field.group .. ".undefined"], {}
-  for _, flag in ipairs(field.flags) do
-    flags[#flags + 1] = fields[flag.filter]
-  end
+  local undefined_pf = fields[field.group .. ".undefined"]
+  local flags = mapped(field.flags, function(flag) return fields[flag.filter] end)
   return function(parent, range, raw)
     local item = pf and add_le(parent, pf, range) or parent
     for _, flag in ipairs(flags) do add_le(item, flag, range) end
@@ -117,19 +116,14 @@ local function find_wanted(self, tree, filters)
 end
 
 local function list_fields(self, message_type, tree)
-  local list = {}
-  for index, field in ipairs(message_type.fields) do
+  return mapped(message_type.fields, function(field)
     local wanted = find_wanted(self, tree, field.filters)
-    if wanted then
-      list[#list + 1] = {
-        field = field,
-        index = index,
-        add = ADD[field_kinds.BY_NAME[field.kind].shown](field,
-          field.flags and wanted or self.fields),
-      }
-    end
-  end
-  return list
+    local new_add = ADD[field_kinds.BY_NAME[field.kind].shown]
+    return wanted and {
+      field = field,
+      add = new_add(field, field.flags and wanted or self.fields),
+    }
+  end)
 end
 
 -- List the values that are worked out: those of two fields, and those for columns, with as many
@@ -183,11 +177,10 @@ end
 -- change  of a message, or false
 -- way     "raised" or "cleared"
 local function changed_faults(change, way)
-  local names = {}
-  for _, flags in ipairs(change and change.flags or NONE) do
+  local names = mapped(change and change.flags or NONE, function(flags)
     local faults = fault_names(flags.field, flags[way])
-    if faults ~= "" then names[#names + 1] = faults end
-  end
+    return faults ~= "" and faults
+  end)
   return table.concat(names, ", ")
 end
 
@@ -222,7 +215,8 @@ end
 local function add_fields(message, plan, view, top)
   local raws, tvb, offset, items = message.raws, view.tvb, view.offset, {}
   for _, step in ipairs(plan.fields) do
-    local field, index = step.field, step.index
+    local field = step.field
+    local index = field.index
     local raw = raws[index]
     if raw then
       local range = range_of(tvb, offset + field.offset, field.size)

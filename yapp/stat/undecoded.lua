@@ -5,6 +5,7 @@
 local compiler = require "yapp.message.catalogue"
 local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
+local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 
@@ -30,12 +31,9 @@ end
 
 -- Return the text about a size.
 -- own    the source's message type, or nil; likes: message types of this size
-local function describe(own, likes)
-  local titles = {}
-  for i, message_type in ipairs(likes) do
-    if message_type == own then return own.title .. OTHER_CTL end
-    titles[i] = message_type.title
-  end
+local function describe(own, likes, size)
+  if own and compiler.of_size({ own }, size)[1] then return own.title .. OTHER_CTL end
+  local titles = mapped(likes, function(message_type) return message_type.title end)
   if titles[1] then return "the size of " .. table.concat(titles, " and of ") end
   return own and ("%s has %d"):format(own.title, own.size) or "the size of no known message"
 end
@@ -46,7 +44,7 @@ local function new_entry(self, source, size, rest)
   if not own or size <= own.size then
     likes = compiler.of_size(self.settings.catalogue.messages, size)
   end
-  local about, like = describe(own, likes), likes[1]
+  local about, like = describe(own, likes, size), likes[1]
   local note = rest and ("the last %d not decoded, "):format(rest) or "not decoded, "
   return {
     source = source,
@@ -133,7 +131,7 @@ end
 -- entries, which it sorts; nil if there are none.
 local function text_of(entries, what)
   if not entries[1] then return nil end
-  local texts, list, total = {}, {}, 0
+  local list, total = {}, 0
   local by_about = memo(function(about) return { about = about, names = {}, count = 0 } end, list)
   output.sort(entries, function(entry) return entry.source.bus or "", entry.source.id end)
   for _, entry in ipairs(entries) do
@@ -142,10 +140,10 @@ local function text_of(entries, what)
     table.insert(same.names, is_on_bus and ("0x%x"):format(source.id) or output.bus_and_id(source))
     same.bus, same.count, total = source.bus, same.count + count, total + count
   end
-  for i, same in ipairs(list) do
+  local texts = mapped(list, function(same)
     local about = same.count > 1 and same.about:gsub("bytes", "bytes each", 1) or same.about
-    texts[i] = ("%s (%s)"):format(table.concat(same.names, ", "), about)
-  end
+    return ("%s (%s)"):format(table.concat(same.names, ", "), about)
+  end)
   return ("%s %s: %s"):format(output.were(total, "message"), what, table.concat(texts, "; "))
 end
 
