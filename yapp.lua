@@ -268,9 +268,8 @@ local function read_preferences()
   local by_id, clashes = compiler.assign(catalogue, chosen)
   local sources, unread = source_names.parse(prefs.sources, catalogue)
   local late, no_number = preferences.parse_late(prefs.late)
-  local link_types = preferences.register_link_types(prefs.user_dlt, serial)
-  local unread_files = check_chosen_file(prefs.messages)
-  local texts = joined(clashes, unread, no_number, link_types, unread_files)
+  local texts = joined(clashes, unread, no_number, check_chosen_file(prefs.messages),
+    preferences.register_link_types(prefs.user_dlt, serial))
   local problems = mapped(texts, function(text) return "preferences: " .. text end)
   preferences.complain(problems)
   if mistakes[1] then table.insert(problems, "the catalogue did not load whole") end

@@ -9,6 +9,17 @@ local crc = require "yapp.wire.crc"
 
 local MAX_STEPS = 500
 
+-- Take the newest frame; return the bytes of padding, nil if it is not the rest.
+-- taken, register, needed  see take
+local function take_last(message, taken, register, needed)
+  local chunks = message.chunks
+  local data = chunks[#chunks]
+  local padding = can_id.padding(data, #data, needed)
+  if not padding or crc.update(register, data, 1, needed) ~= message.crc then return nil end
+  taken[#taken + 1] = #chunks
+  return padding
+end
+
 --- Search depth first for the frames that, with the newest one, an End, are the rest of a message.
 -- message   that is open, see can.reassembly; the End is its last frame
 -- fields    of the CAN ids (wire.can_id)
@@ -17,15 +28,6 @@ local MAX_STEPS = 500
 return function(message, fields, may_skip)
   local chunks, taken, steps = message.chunks, {}, MAX_STEPS
   local ends = chunks.ends or {}
-
-  -- Take the newest frame; return the bytes of padding, nil if it is not the rest.
-  local function take_last(register, needed)
-    local data = chunks[#chunks]
-    local padding = can_id.padding(data, #data, needed)
-    if not padding or crc.update(register, data, 1, needed) ~= message.crc then return nil end
-    taken[#taken + 1] = #chunks
-    return padding
-  end
 
   -- Take frames from the index `first` on.
   -- register  of the CRC behind those that are taken
@@ -45,10 +47,10 @@ return function(message, fields, may_skip)
       if not (may_skip or data == chunks[i - 1]) then return nil end
       left = left - #data
     end
-    return take_last(register, needed)
+    return take_last(message, taken, register, needed)
   end
 
-  local seed = can_id.seed(fields, message.size, message.reserved)
-  local padding = take(1, seed, message.size, chunks.received)
+  local padding = take(1, can_id.seed(fields, message.size, message.reserved), message.size,
+    chunks.received)
   if padding then return taken, padding end
 end

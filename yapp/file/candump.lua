@@ -162,8 +162,7 @@ local function read_usual(log, lines)
   local bus, id = log.buses[name], digits and IDS[digits]
   if not (bus and id) or #hex > 16 or #hex % 2 ~= 0 or #seconds > 12 then return nil end
   if lines == log.lines then log.frames = log.frames + 1 end
-  local record = { id = id, data = hex:gsub("%x%x", text.BYTES) }
-  local packet = text.packet(bus.number, record)
+  local packet = text.packet(bus.number, { id = id, data = hex:gsub("%x%x", text.BYTES) })
   return lines:skip_to(stop), packet, tonumber(seconds), fraction * 1000, bus
 end
 

@@ -287,8 +287,8 @@ function M.compile(entries, files)
     local ok, problem = pcall(add_message, catalogue, entry, context)
     if not ok then
       local file = files and files[i] .. ": " or ""
-      local text = "%smessage %s%s: %s; this message is not decoded"
-      problems[#problems + 1] = text:format(file, context.message, context.field, problem)
+      problems[#problems + 1] = ("%smessage %s%s: %s; this message is not decoded"):format(
+        file, context.message, context.field, problem)
     end
   end
   return catalogue, problems
@@ -321,8 +321,8 @@ function M.load(files)
     local ok, why = true, nil
     if not file.optional or io.open(file.path) then ok, why = pcall(add_file, all, file.path) end
     if not ok then
-      local text = "%s: cannot be read: %s; its messages are not decoded"
-      problems[#problems + 1] = text:format(file.path, tostring(why))
+      problems[#problems + 1] = ("%s: cannot be read: %s; its messages are not decoded"):format(
+        file.path, tostring(why))
     end
   end
   local catalogue, mistakes = M.compile(all.entries, all.paths)

@@ -27,8 +27,8 @@ local REMARK = "a = raws[%d] if a and %s then remarks = add_remarks(remarks, FIE
 local function raw_source(field, i)
   local last, value = field.offset + field.size, {}
   if last > MAX_KEPT or field.size > 6 or not field.is_unsigned then
-    local read = "#payload >= %d and KINDS.%s.read(FIELDS[%d], payload) or nil"
-    return format(read, last, field.kind, i)
+    return format("#payload >= %d and KINDS.%s.read(FIELDS[%d], payload) or nil",
+      last, field.kind, i)
   end
   for j = 1, field.size do
     value[j] = format("b%d * %.0f", field.offset + j, 0x100 ^ (j - 1))
@@ -39,8 +39,7 @@ end
 -- Return the condition under which a, the raw value of the i-th field, is remarkable, as source.
 local function remark_source(field, i)
   if field.flags then
-    local mask = bits.bor(field.alarm_bits, field.undefined)
-    return format("a > 0 and band(a, %.0f) ~= 0", mask)
+    return format("a > 0 and band(a, %.0f) ~= 0", bits.bor(field.alarm_bits, field.undefined))
   end
   if field.values then return format("not FIELDS[%d].values[a]", i) end
   if field.ordinary then return format("a > %.0f", field.ordinary) end

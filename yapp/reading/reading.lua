@@ -23,7 +23,7 @@ local streams = require "yapp.serial.stream"
 local M = {}
 
 local HEADER = require("yapp.wire.frame").HEADER
-local BUS, START = can_id.BUS, can_id.START
+local BUS = can_id.BUS
 local NONE = {} -- to be read only
 
 local Reading = {}
@@ -202,7 +202,7 @@ function Reading:report_undissected(frame)
   local fields = frame.can_id
   local source, data, size = self.sources[frame.bus][fields.id], frame.data, nil
   if fields.ctl ~= 0 and not source.type then return end
-  if fields.ctrl == START and #data == 8 then
+  if fields.ctrl == can_id.START and #data == 8 then
     local _, total, reserved = can_id.start(data)
     size = reserved == 0 and total > 8 and total
   elseif fields.ctrl == 0 then
@@ -252,8 +252,8 @@ end
 function Reading:read_packet(packet)
   local contents
   if packet.is_skipped then
-    local finding = { status = "skipped", from = 0, to = #packet.bytes }
-    contents = { findings = { finding }, pending = 0 }
+    local findings = { { status = "skipped", from = 0, to = #packet.bytes } }
+    contents = { findings = findings, pending = 0 }
   elseif packet.visited then
     contents = self.streams:find(packet)
   else

@@ -70,8 +70,8 @@ end
 local function add_message(self, event)
   local source, values = event.source, event.values
   if not event.raws or values.undecoded then
-    local unknown = self.undecoded:count(source, #values.payload, values.undecoded)
-    self:count(kinds.new_follower("unknown", event, unknown))
+    self:count(kinds.new_follower("unknown", event,
+      self.undecoded:count(source, #values.payload, values.undecoded)))
   end
   if values.is_unreliable then return add_unreliable(self, event) end
   self.latest[source] = event

@@ -216,8 +216,7 @@ end
 
 --- End, see stat.answer.
 function Buses:finish(ending, notes)
-  local title = ("YAPP buses: %d"):format(#self.list)
-  output.print(self.context, title, M.COLUMNS, self:rows(ending), notes)
+  output.print(self.context, "YAPP buses: " .. #self.list, M.COLUMNS, self:rows(ending), notes)
 end
 
 return M

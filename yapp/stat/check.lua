@@ -204,8 +204,8 @@ function M:finish(ending, notes)
   local worst, shown = rows[1].ok, options.json and judged or rows
   output.print(context, "YAPP check: " .. worst.title, M.COLUMNS, shown, notes)
   if not options.json then
-    local shape = "\n%d of %d rules failed, %d not judged\n"
-    context.out(shape:format(count(rows, FAILED), #rows, count(rows, UNJUDGED)))
+    context.out(("\n%d of %d rules failed, %d not judged\n"):format(
+      count(rows, FAILED), #rows, count(rows, UNJUDGED)))
   end
   return worst.code, problems[1] and "check: " .. table.concat(problems, "\ncheck: ")
 end

@@ -50,10 +50,8 @@ end
 
 -- Begin the table of a message.
 local function begin(self, message_type, file)
-  local row = { file = file.path, rows = 0, to = file }
-  local names =
-    mapped(columns_of(self, message_type), function(column) return column.name end)
-  file:write(table.concat(names, ",") .. "\n")
+  local row, columns = { file = file.path, rows = 0, to = file }, columns_of(self, message_type)
+  file:write(table.concat(mapped(columns, function(column) return column.name end), ",") .. "\n")
   self.tables[message_type] = row
   table.insert(self.list, row)
 end

@@ -51,8 +51,8 @@ local ROWS = {
   "time frame bus id source message active",
 }
 for _, section in ipairs(SECTIONS) do
-  local help = ("%s: `%s`"):format(section.title, section.keys or "as in `events`")
-  insert(ROWS, { section.name, "list", help })
+  insert(ROWS, { section.name, "list",
+    ("%s: `%s`"):format(section.title, section.keys or "as in `events`") })
   section.columns = output.columns({}, section.columns)
 end
 --- The columns, see output.columns.
@@ -358,8 +358,8 @@ function Fault:finish(ending, notes)
   local context, card, count = self.context, self.card, lists.count_text(self.count, ending)
   local code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
   if card then
-    local title = ("YAPP fault: %d of %s"):format(card.number, count)
-    print_card(context, title, row_of(self, card, ending), notes)
+    print_card(context, ("YAPP fault: %d of %s"):format(card.number, count),
+      row_of(self, card, ending), notes)
     return code
   end
   local rows = context.json and { { incidents = self.count } } or {}

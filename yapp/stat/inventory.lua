@@ -82,8 +82,8 @@ local function describe_message(message_type, columns)
 end
 
 local function describe_statistic(row)
-  local values = setmetatable({ columns = output.describe(row.columns) }, { __index = row })
-  return object("title options help ask columns", values)
+  return object("title options help ask columns",
+    setmetatable({ columns = output.describe(row.columns) }, { __index = row }))
 end
 
 --- Describe all that is published.
@@ -94,8 +94,7 @@ end
 --            rules, fields, experts, preferences = lists }; an absent value is null
 function M.describe(settings, columns_of, statistics)
   local published = settings.published
-  local keys = "version plugin messages statistics kinds rules fields experts preferences"
-  return object(keys, {
+  return object("version plugin messages statistics kinds rules fields experts preferences", {
     version = 1,
     plugin = settings.version,
     messages = by_name(settings.catalogue.messages, function(message_type)

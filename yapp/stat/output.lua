@@ -203,8 +203,8 @@ end
 --- Return the columns of JSON as fields.json has them.
 -- columns  of M.columns
 function M.describe(columns)
-  local list = mapped(columns.all, function(column) return column.type and column end)
-  return M.objects("name type unit title help", list)
+  return M.objects("name type unit title help",
+    mapped(columns.all, function(column) return column.type and column end))
 end
 
 -- Return the width of a text: in characters, not bytes.

@@ -2,6 +2,7 @@
 -- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, the decoding
 -- of unknown IDs, and help.  Wireshark's API.
 
+local mapped = require "yapp.base.mapped"
 local options_of = require "yapp.stat.options"
 local preferences = require "yapp.host.preferences"
 local rules_of = require "yapp.stat.rules"
@@ -120,8 +121,7 @@ local function decode_by_size(stat)
   for name, ids in answer:gmatch("%-o yapp%.([%w_]+)_ids:(%S+)") do
     local key = name .. "_ids"
     before[key], after[key] = undecoded.ranges_of(stat.settings.ids[name]), ids
-    local shape = "yapp.%s was %s, and is now\n  %s\n"
-    said = said .. shape:format(key, before[key], ids)
+    said = said .. ("yapp.%s was %s, and is now\n  %s\n"):format(key, before[key], ids)
   end
   if said == "" then
     return report_failure("YAPP: " .. (answer:match("only %d+ of[^\n]*") or
@@ -142,9 +142,7 @@ local help
 
 -- Return a line for each row: the value of a key, and the help.
 local function lines_of(rows, key)
-  local text = ""
-  for _, row in ipairs(rows) do text = text .. row[key] .. ": " .. row.help .. "\n" end
-  return text
+  return table.concat(mapped(rows, function(row) return row[key] .. ": " .. row.help .. "\n" end))
 end
 
 local function open_help()
