@@ -284,7 +284,10 @@ end
 -- Read the next frame of these lines, see Log:read.
 local function read_any(self, lines, file)
   local line, offset = lines:next(file)
-  if not line then return nil end
+  if not line then
+    if lines == self.lines then place_drops(self) end
+    return nil
+  end
   local record, kind = self:parse(line)
   if lines == self.lines then
     if kind == "lost" or kind == "doubtful" then
@@ -315,9 +318,7 @@ end
 --          1970 or since the first frame (nil without a time), the bus { number, name } or nil.
 --          Nil at the end
 function Log:read(file)
-  local offset, packet, seconds, nanoseconds, bus = read(self, self.lines, file)
-  if not offset then place_drops(self) end
-  return offset, packet, seconds, nanoseconds, bus
+  return read(self, self.lines, file)
 end
 
 --- Read a frame once more.

@@ -51,6 +51,9 @@ local TYPES = {
   float64 = { kind = "ieee", size = 8 },
 }
 
+-- min and max make a compressed float of the bytes; without them float32 is IEEE 754's.
+local FLOAT32 = { kind = "ieee", size = 4 }
+
 -- COMPAT 5.4: powers are floats there, which are printed with a ".0".
 local function add_type(kind, size, top)
   TYPES[kind .. 8 * size] =
@@ -127,12 +130,8 @@ local function add_flags(message_type, field, row)
   if field.alarm_bits > 0 then table.insert(message_type.alarms, field) end
 end
 
--- min and max make a compressed float of the bytes; without them float32 is IEEE 754's.
+-- Set the range of a compressed float.
 local function add_range(field, row)
-  if field.size == 4 and not row.min then
-    field.kind, field.is_unsigned, field.top, field.shape = "ieee", nil, nil, "%.7g"
-    return
-  end
   demand(row.min and row.max and row.min < row.max, "min and max are missing, or no range")
   field.min, field.max = row.min + 0.0, row.max + 0.0 -- COMPAT 5.4: see add_meaning
   field.shape = field.size == 4 and "%.10g" or "%.7g"
@@ -180,7 +179,7 @@ local function add_field(message_type, row, definition, offset, size)
     index = #message_type.fields + 1,
   }
   if field.kind == "float" then add_range(field, row) end
-  if field.kind == "ieee" then field.shape = field.shape or "%.15g" end
+  if field.kind == "ieee" then field.shape = size == 4 and "%.7g" or "%.15g" end
   if field.shape then field.special = field.filter .. ".special" end
   if field.kind == "time" then message_type.time = message_type.time or field end
   add_meaning(message_type, field, row)
@@ -195,6 +194,7 @@ local function compile_fields(message_type, rows, context)
     context.field = ", field " .. (row[1] or i)
     local definition = TYPES[row[2]]
     demand(definition, "unknown type %s; the types are %s", input.shown(row[2]), input.names(TYPES))
+    if definition == TYPES.float32 and not row.min then definition = FLOAT32 end
     check(row, "a row", FIELD_OPTIONS, 3)
     local size = definition.size or row.length
     if definition.kind ~= "padding" then add_field(message_type, row, definition, offset, size) end

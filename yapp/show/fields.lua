@@ -10,6 +10,7 @@ local joined = require "yapp.base.joined"
 local M = {}
 
 local unpack = rawget(table, "unpack")
+local BILLION = 1000000000
 local CRC_STATUS = { [0] = "Bad", "Good", "Unverified" }
 
 -- filter, type, title, description, base, values
@@ -182,10 +183,8 @@ end
 --- Return seconds, a double, as a time to the nanosecond.
 function M.relative_time(seconds)
   local sign = seconds < 0 and -1 or 1
-  local whole = math.floor(sign * seconds)
-  local rest = math.floor((sign * seconds - whole) * 1e9 + 0.5)
-  if rest == 1e9 then whole, rest = whole + 1, 0 end
-  return NSTime.new(sign * whole, sign * rest)
+  local nanoseconds = math.floor(sign * seconds * BILLION + 0.5)
+  return NSTime.new(sign * math.floor(nanoseconds / BILLION), sign * (nanoseconds % BILLION))
 end
 
 return M
