@@ -201,7 +201,8 @@ def comparable(values: Array, good: Array, unit: str) -> tuple[Array, Array]:
 # ---- a delay, then a response of first order, at 100 steps a second
 
 STEP = 0.01  # seconds
-LAGS = np.arange(-0.2, 1.2, 0.02)  # seconds of the delay
+LAG = 0.02  # seconds between two delays
+LAGS = np.arange(-0.2, 1.2, LAG)  # of the delay
 # Seconds of the response's time constant.
 SHAPES = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.17, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
 
@@ -263,18 +264,18 @@ def responses(runs: Sequence[Following]) -> list[tuple[float, float, int]]:
         block = np.unique(np.floor(run.times / (2 * BLOCK)), return_inverse=True)[1]
         curves = np.stack([np.bincount(block, run.squares(shape, lag)) for lag in LAGS], axis=1)
         whole, count = curves.sum(axis=0), len(curves)
-        without = np.array([_lowest(whole - curve) for curve in curves])
+        without = LAG * np.array([lowest(whole - curve) for curve in curves])
         error = float(np.sqrt((count - 1) / count * ((without - without.mean()) ** 2).sum()))
-        found.append((SHAPES[shape] + _lowest(whole), error, count))
+        found.append((SHAPES[shape] + LAGS[0] + LAG * lowest(whole), error, count))
     return found
 
 
-def _lowest(curve: Array) -> float:
-    """Return the delay where a curve is lowest: the vertex of the parabola through that point and its neighbours."""
+def lowest(curve: Array) -> float:
+    """Return the index at which a curve is lowest: the vertex of the parabola through that point and its neighbours."""
     at = int(np.clip(np.argmin(curve), 1, len(curve) - 2))
     left, middle, right = curve[at - 1 : at + 2]
     bend = left - 2 * middle + right
-    return float(LAGS[at] + (LAGS[1] - LAGS[0]) * (0.5 * (left - right) / bend if bend > 0 else 0.0))
+    return at + float(0.5 * (left - right) / bend if bend > 0 else 0.0)
 
 
 def command_of(samples: Mapping[tuple[str, str], Samples], own: Samples) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from .tables import plain, said
 LATE = 2.5  # a gap is longer than this many periods, as for the plugin's yapp.late
 DEGREES = ("°C", "C", "degC")
 APART = 1e6  # seconds between the times of two flights
-ROLES = ("value", "flag", "flags", "enum", "clock")
+ROLES = ("value", "clock")  # of the columns that are compared and drawn
 Array = np.ndarray[Any, Any]
 
 
@@ -126,8 +126,8 @@ def samples(tables: Mapping[str, pa.Table], number: int = 0, start: int = 0) -> 
             times = (rows["time"].cast(pa.int64()).to_numpy() - start) / 1e9
             every = float(whole.get("every") or 0) or (float(np.median(np.diff(times))) if len(times) > 1 else 1.0)
             columns = {each: numbers(rows[each]) for each in names}
-            texts = {each: set(rows[f"{each}_text"].unique().to_pylist()) - {None} for each in names
-                     if f"{each}_text" in rows.schema.names}  # fmt: skip
+            texts = {each: set(rows[f"{each}_text"].unique().to_pylist()) - {None} for each in about
+                     if f"{each}_text" in about}  # fmt: skip
             ids = {(rows["bus"][0].as_py(), rows["id"][0].as_py())}
             whose, times = name if is_own else f"{name} {title}", times + number * APART
             found.append(Samples(
