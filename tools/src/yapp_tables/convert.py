@@ -200,13 +200,10 @@ def _convert(capture: Path, dataset: DataSet, tshark: Tshark, made: str | None, 
         name = f"{SUFFIXES.sub('', capture.name)}-{flight.flight_id[:8]}{'.partial' if export.partial else ''}"
         folder = aside / "result"
         folder.mkdir()
-        before = dataset.find(flight.flight_id)
         writer(dataset.to)(tables, folder / name, dataset.url, flight.flight_id)
         files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
         counts = {name: len(rows) for name, rows in tables.items()}
         known = flight.flight_id, str(capture), here, files, counts, export.partial, export.lacks
         result = Result(*known, notes=flight.notes)
         dataset.place(folder, result)
-        if before and dataset.to == "delta" and (gone := before.messages.keys() - counts.keys()):
-            need(f"{__package__}.delta", "delta").delete(dataset.url, flight.flight_id, gone)
         return result

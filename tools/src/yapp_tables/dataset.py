@@ -100,10 +100,10 @@ class DataSet:
 
     def place(self, folder: Path, result: Result) -> None:
         """Move all files in folder to their place, remove what an older result left, and note the result last."""
-        before = self.find(result.flight_id)
+        before = self.find(result.flight_id) or result
         for file in result.files:
             self._move(folder / file, f"{self.path}/{file}")
-        self._remove(set(before.files if before else ()) - set(result.files))
+        self._remove(result, set(before.files) - set(result.files), before.messages.keys() - result.messages.keys())
         # A result that was cut off half-way is not known, and is made again.
         self.note(result)
 
@@ -113,9 +113,7 @@ class DataSet:
 
     def forget(self, result: Result) -> None:
         """Remove a flight."""
-        if self.to == "delta":
-            need(f"{__package__}.delta", "delta").delete(self.url, result.flight_id, result.messages)
-        self._remove(result.files)
+        self._remove(result, result.files, result.messages)
         self.fs.rm(f"{self.notes}/{result.flight_id}.json")
 
     def _move(self, file: Path, target: str) -> None:
@@ -126,10 +124,13 @@ class DataSet:
         else:
             self.fs.put_file(str(file), target)
 
-    def _remove(self, files: Iterable[str]) -> None:
+    def _remove(self, result: Result, files: Iterable[str], messages: Iterable[str]) -> None:
+        """Remove files, or of Delta's tables of these messages the rows of the flight."""
         for path in (f"{self.path}/{file}" for file in files):
             if self.fs.exists(path):
                 self.fs.rm(path)
+        if self.to == "delta":
+            need(f"{__package__}.delta", "delta").delete(self.url, result.flight_id, messages)
 
     def _write(self, name: str, record: dict[str, Any]) -> None:
         """Write a note at once: whoever reads it meanwhile has the old one or the new one."""

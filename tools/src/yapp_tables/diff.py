@@ -18,6 +18,7 @@ from . import pages
 from .changes import BLOCK, LEAST_BLOCKS, Change, Following, Load, change, comparable, dependent, more_often, responses
 from .errors import count_of
 from .flight import Flight, read_flight
+from .incidents import events_of
 from .series import APART, DEGREES, Array, Samples, joined, samples, source_name
 from .tshark import Record, Tshark
 
@@ -174,12 +175,10 @@ def _read(name: str, captures: Sequence[Path], tshark: Tshark, rules: str) -> Ru
         run.seconds += max(float(np.ptp(one.times)) for one in own.values())
         found.append(own)
         keys = {ids: key for key, one in own.items() for ids in one.ids}
-        events = flight.events.append_column("at", flight.events["time"].cast("int64")).drop_columns("time").to_pylist()
-        for event in events:
-            at = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
-            event |= {"at": {"file": flight.name, "frame": event["frame"], "time": round(at, 3)}}
-            event["who"], _ = keys.get((event["bus"], event["id"])) or (source_name(event), "")
-        run.events += events
+        for event in events_of(flight.events, flight.messages, start):
+            whose, _ = keys.get((event["bus"], event["id"]), (event["who"], ""))
+            at = {"file": flight.name, "frame": event["frame"], "time": round(event["at"], 3)}
+            run.events.append(event | {"who": whose, "at": at})
         fields = ["-T", "fields", "-E", "occurrence=l", "-e", "yapp.bus", "-e", "yapp.id", "-e", "yapp.size"]
         for line in set(tshark.run(capture, ["-Y", "yapp.size", *fields]).splitlines()):
             bus, ident, size = line.split("\t")

@@ -97,8 +97,7 @@ class Matrix:
         length: of the flight, in seconds; faults: {controller: [(begin, end)]}, drawn as bands; named: the fields that
         findings name.
         """
-        heads: list[str] = []
-        rows: dict[int, dict[int, str]] = {}
+        columns: list[tuple[str, dict[int, str]]] = []  # heading, and the picture of each controller
         for found in self.messages:
             lead, pair = found[0], found[0].speed()
             shown = [*(pair or ())[:1], *reversed(lead.supply() or ()), *lead.measured(*DEGREES)]
@@ -108,16 +107,18 @@ class Matrix:
                 values = np.concatenate([one.columns[each] for one in found for each in drawn])
                 ends = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
                 if ends[0] < ends[1]:
-                    title = html.escape(lead.title_of(name))
-                    heads.append(f"<b>{title}</b> <span class=pale>{_span(lead, name, values)}</span>")
+                    head = f"<b>{html.escape(lead.title_of(name))}</b> "
+                    head += f"<span class=pale>{_span(lead, name, values)}</span>"
+                    columns.append((head, {}))
                     for one in found:
-                        who, bands = self.whose(one), faults.get(self.whose(one), ())
-                        about = self.sources[one.number]
-                        rows.setdefault(who, {})[len(heads)] = _picture(one, about, drawn, ends, bands, WIDTH / length)
-        lines = [f"<thead><tr><th></th>{''.join(f'<th>{head}</th>' for head in heads)}</tr></thead>"] if heads else []
+                        who, about = self.whose(one), self.sources[one.number]
+                        bands = faults.get(who, ())
+                        columns[-1][1][who] = _picture(one, about, drawn, ends, bands, WIDTH / length)
+        heads = "".join(f"<th>{head}</th>" for head, _ in columns)
+        lines = [f"<thead><tr><th></th>{heads}</tr></thead>"] if heads else []
         for who, label in self.labels.items():
-            if who in rows:
-                lines.append(_line(who, label, [f"<td>{rows[who].get(at + 1, '')}</td>" for at in range(len(heads))]))
+            cells = [pictures.get(who, "") for _, pictures in columns]
+            lines += [_line(who, label, [f"<td>{cell}</td>" for cell in cells])] if any(cells) else []
         return "".join(lines)
 
 

@@ -10,7 +10,7 @@ import pyarrow as pa
 from mcap.writer import Writer
 
 from .tables import DURATION, TIME, said
-from .writers import Tables, begin, by_source, seconds, times_of
+from .writers import Tables, begin, by_source, in_seconds, times_of
 
 # MCAP has the time itself; the rest stands once, in `flights`.
 LEFT_OUT = ("time", "source_file", "flight_id")
@@ -35,19 +35,11 @@ def _write(writer: Any, name: str, table: pa.Table, start: int) -> None:
     schema = writer.register_schema(name, "jsonschema", json.dumps(about | {"properties": properties}).encode())
     for source, rows in by_source(table):
         channel = writer.register_channel("/".join(("", name, *source)), "json", schema)
-        for time, row in zip(times_of(rows, start).to_pylist(), _plain(rows.select(names)).to_pylist(), strict=True):
+        known = in_seconds(rows.select(names))
+        cells = [each.cast(pa.string()) if each.type == TIME else each for each in known.columns]  # JSON has no times
+        for time, row in zip(times_of(rows, start).to_pylist(), pa.table(cells, names).to_pylist(), strict=True):
             there = {key: value for key, value in row.items() if value is not None}
             writer.add_message(channel, time, json.dumps(there, ensure_ascii=False).encode(), time)
-
-
-def _plain(rows: pa.Table) -> pa.Table:
-    """Return rows whose cells JSON knows: times as text, lengths in seconds."""
-    for number, field in enumerate(rows.schema):
-        if field.type == TIME:
-            rows = rows.set_column(number, field.name, rows[number].cast(pa.string()))
-        if field.type == DURATION:
-            rows = rows.set_column(number, field.name, seconds(rows[number]))
-    return rows
 
 
 def _property(column: pa.Field) -> dict[str, Any]:

@@ -1,55 +1,19 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What pages are made of: tables, colours, and whole pages without a script, of two runs compared and of a trend."""
+"""Pages without a script, of two runs compared and of a trend: page.html, lists, tables and small pictures."""
 
 import html
 from collections.abc import Iterable, Sequence
+from importlib.resources import files
 
 import numpy as np
 
 from .series import Array
 
-# Sixteen colours of controllers, on a light and on a dark background. Each is at least 3:1 against its background, and
-# at least 0.16 apart from each other and from the grey of Commands, in the Oklab space, where people see differences of
-# 0.02. The first ones are the furthest apart.
-LIGHT = (
-    "#026fd7", "#fb1597", "#02400d", "#ab8a41", "#7f13f5", "#039227", "#aa1a0d", "#a3489d",
-    "#d91dfc", "#2ca0ac", "#f84713", "#0816d0", "#987efc", "#630580", "#5c0109", "#012868",
-)  # fmt: skip
-DARK = (
-    "#38c5fd", "#d00c98", "#227702", "#f2d710", "#877deb", "#30bd44", "#ee1401", "#fd67f4",
-    "#fdcbf8", "#84f8d2", "#fc8c45", "#1d4ffd", "#53fe0a", "#9a0eef", "#905c3f", "#136b94",
-)  # fmt: skip
-STYLE = """
-:root { color-scheme: light dark; }
-body { font: 15px/1.45 system-ui, sans-serif; padding: 4px 16px; max-width: 1200px; }
-table { border-collapse: collapse; margin: 8px 0 24px; }
-th, td { padding: 3px 10px; text-align: left; }
-td { border-bottom: 1px solid color-mix(in srgb, currentColor 20%, transparent); }
-.number { text-align: right; font-variant-numeric: tabular-nums; }
-.worse { color: #d33030; font-weight: 600; } .better { color: #1a8f3c; } .pale { opacity: 0.65; }
-svg { width: 260px; height: 70px; vertical-align: middle; }
-.dot { fill: currentColor; }
-.line { stroke: #3086e8; stroke-width: 2; } .sure { stroke: #d33030; stroke-width: 2; }
-"""
-HEAD = "default-src 'none'; style-src 'unsafe-inline'"
-
-
-def css() -> str:
-    """Return the rules that give each data-colour its --own."""
-    both = enumerate(zip(LIGHT, DARK, strict=True))
-    rules = [f'[data-colour="{number}"] {{ --own: light-dark({light}, {dark}); }}' for number, (light, dark) in both]
-    return "\n".join(rules)
-
 
 def page(title: str, parts: Iterable[str]) -> str:
     """Return a page that opens offline and asks the network for nothing."""
-    return (
-        f"<!doctype html>\n<html lang=en><head><meta charset=utf-8>"
-        f'<meta http-equiv="Content-Security-Policy" content="{HEAD}">'
-        f"<title>{html.escape(title)}</title><style>{STYLE}</style></head><body>\n<h1>{html.escape(title)}</h1>\n"
-        + "\n".join(parts)
-        + "\n</body></html>\n"
-    )
+    template = files(__package__).joinpath("page.html").read_text(encoding="utf-8")
+    return template.replace("/*TITLE*/", html.escape(title)).replace("/*PARTS*/", "\n".join(parts))
 
 
 def listed(lines: Sequence[tuple[str, str]]) -> str:

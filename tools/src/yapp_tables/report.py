@@ -26,7 +26,6 @@ from .flight import Flight, read_flight
 from .incidents import events_of, excused, fault_rows, faults_in, filter_of, is_command, joined, other_rows
 from .install import ask
 from .matrix import Matrix
-from .pages import css
 from .pictures import Pictures, packed
 from .scratch import scratch, write_whole
 from .series import Samples, controllers, natural, samples, source_name
@@ -145,7 +144,6 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
     }  # fmt: skip
     package = files(__package__)
     parts = head(data) | {
-        "/*COLOURS*/": css(),
         "/*MATRIX*/": matrix.html(),
         "/*MULTIPLES*/": matrix.multiples(length, bands, named),
         "/*DATA*/": json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),

@@ -259,4 +259,3 @@ def _fits(own: Array, theirs: Array) -> list[tuple[float, float]]:
         found.append((float(min(fit[at], 1.0)), (lowest(-fit) - (len(theirs) - 1)) * GRID))
         fit[max(0, at - int(BETWEEN / GRID)) : at + int(BETWEEN / GRID) + 1] = -1
     return found
-

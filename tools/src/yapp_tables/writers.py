@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 from pyarrow import csv as arrow_csv
 
 from .series import split
-from .tables import DURATION, KIND, is_message, plain
+from .tables import DURATION, is_message, plain
 
 ROW_GROUP = 100_000
 
@@ -29,14 +29,14 @@ def write_parquet(tables: Tables, path: Path, *_: str) -> None:
 def write_csv(tables: Tables, path: Path, *_: str) -> None:
     """Write CSV with one header row; time as UTC with nine digits, lengths in seconds; absent values are empty."""
     for name, rows in tables.items():
-        cells = [seconds(each) if each.type == DURATION else each for each in rows.columns]
-        cells = [each.cast(pa.string()) if each.type == KIND else each for each in cells]
-        arrow_csv.write_csv(pa.table(cells, rows.schema.names), _path(path, name, "csv"))
+        arrow_csv.write_csv(in_seconds(plain(rows)), _path(path, name, "csv"))
 
 
-def seconds(cells: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return durations as numbers. A double has the nanoseconds of eleven days."""
-    return pc.divide(cells.cast(pa.int64()).cast(pa.float64()), 1e9)
+def in_seconds(rows: pa.Table) -> pa.Table:
+    """Return rows whose durations are numbers. A double has the nanoseconds of eleven days."""
+    cells = [pc.divide(each.cast(pa.int64()).cast(pa.float64()), 1e9) if each.type == DURATION else each
+             for each in rows.columns]  # fmt: skip
+    return pa.table(cells, rows.schema.names)
 
 
 def _path(path: Path, name: str, suffix: str) -> Path:
