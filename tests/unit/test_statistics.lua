@@ -134,7 +134,9 @@ function T.test_random_summaries()
       if a.source.bus ~= b.source.bus then return a.source.bus < b.source.bus end
       return (a.source.id or 0) < (b.source.id or 0)
     end)
-    local list = lines((run({ "summary,json" }, records)))
+    local printed = run({ "summary,json" }, records)
+    local list = lines(printed)
+    lu.assertEquals(run({ "summary,json,brief" }, records), (printed:gsub('"values":%b{}', '"values":{}')))
     lu.assertEquals(#list, #rows)
     for i, row in ipairs(rows) do
       local found, source = {}, row.source
@@ -1206,7 +1208,7 @@ function T.test_wrong_options_are_named()
   local RANGE = "a range is A..B, A.. or ..B, from the lower to the higher end"
   local POINTS = "the points are X:A..B;X:A..B, from the lowest X to the highest"
   local expected = {
-    ["summary,jsn"] = "jsn: the options of summary are json, filter=EXPRESSION",
+    ["summary,jsn"] = "jsn: the options of summary are json, brief, filter=EXPRESSION",
     ["csv"] = "csv: it is csv,FOLDER or csv,-,MESSAGE",
     ["csv,-,moter"] = 'moter: no message "moter"; known: motor, note, health',
     ["csv,x,over"] = "over: the options of csv are replace, all, json, filter=EXPRESSION",

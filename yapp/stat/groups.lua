@@ -12,7 +12,6 @@ local M = {}
 
 local span = kinds.span
 local INFINITE = math.huge
-local NO_NUMBER = 0 / 0
 
 --- Return a number with the digits that people see.
 function M.round(field, value)
@@ -91,7 +90,8 @@ function M.class(class)
         count = 0,
         decoded = 0,
         length = 0,
-        values = message_type and self:new_values(message_type) or kinds.NOTHING,
+        values = message_type and not options.brief and self:new_values(message_type)
+          or kinds.NOTHING,
       }
     end, self.list)
     return self
@@ -112,7 +112,7 @@ function Groups:new_values(message_type)
         sum = 0.0,
         max = -INFINITE,
         spread = self.compares and self.spreads[field], -- of all sources
-        latest = NO_NUMBER, -- latest_at = when it came
+        latest = 0 / 0, -- no number; latest_at = when it came
       }
       list[#list + 1] = values
       if values.spread then table.insert(values.spread, values) end

@@ -152,7 +152,8 @@ end
 -- looks_for_faults  true if it must say which messages may hide a fault, as it does not list them
 local COMPARE = { new = summary.compare, COLUMNS = summary.COMPARED }
 M.LIST = input.rows("name module title options help", {
-  { "summary", summary, "Summary", "json", "of each controller: rate, gaps, losses, its values" },
+  { "summary", summary, "Summary", "json, brief",
+    "of each controller: rate, gaps, losses, its values" },
   { "faults", lists, "Faults", "json", "when each fault rose and fell", looks_for_faults = true },
   {
     "fault",

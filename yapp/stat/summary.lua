@@ -141,8 +141,8 @@ function M:finish(ending, notes)
       if values.count > 0 then insert(shown, groups.row(group, values)) end
     end
   end
-  local sources = output.count(#rows, "source")
-  local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.last or 0)
+  local title = ("YAPP summary: %s in %.3f s"):format(output.count(#rows, "source"),
+    ending.last or 0)
   output.print(context, title, M.COLUMNS, rows, notes)
   if shown[1] and not context.json then
     context.out("\n")

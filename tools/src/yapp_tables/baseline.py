@@ -114,7 +114,7 @@ def learn(captures: Sequence[Path], tshark: Tshark) -> tuple[str, list[str]]:
 
 def _read(capture: Path, name: str, tshark: Tshark) -> Good:
     with scratch() as folder:
-        export = tshark.export(capture, folder / "export", ["check,json"])
+        export = tshark.export(capture, folder / "export", ["summary,json", "check,json"])
         if export.partial:
             raise CaptureError(f"{capture}: {export.partial}")
         flight = Flight(capture, export)

@@ -64,15 +64,15 @@ class Tshark:
     profile: str | None = None
     bitrate: int | None = None
 
-    def export(self, capture: Path, folder: Path, more: Sequence[str] = ()) -> Export:
-        """Write a capture's messages to folder, which is made. more: statistics besides.
+    def export(self, capture: Path, folder: Path, more: Sequence[str] = ("summary,brief,json",)) -> Export:
+        """Write a capture's messages to folder, which is made. more: statistics besides, a summary among them.
 
         Returns an Export. Raises SetupError, CaptureError, OSError on a full disk; YappError where another try may do.
         """
         folder.mkdir(parents=True)
         # Relative to tshark's own folder: a comma in a path would end the option.
         buses = [f"buses,bitrate={self.bitrate},json"] if self.bitrate else []
-        done = self._ask(capture, ["csv,csv", "events,json", "summary,json", *buses, *more], folder)
+        done = self._ask(capture, ["csv,csv", "events,json", *buses, *more], folder)
         if os.strerror(errno.ENOSPC) in done.stderr:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         described = folder / "csv/fields.json"
