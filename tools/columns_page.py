@@ -7,9 +7,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "src"))  # that of this tree, installed or not
 from yapp_tables import Tshark
-from yapp_tables.series import DEGREES
+from yapp_tables.steps import point_columns
 from yapp_tables.tables import (
-    ABOUT_HEAD, DURATION, HEAD, KIND, SCHEMA, TABLES, TIME, columns_of, differences, messages, record_column, said,
+    DURATION, HEAD, KIND, OWN, SCHEMA, TABLES, TIME, columns_of, differences, messages, record_column, said,
 )
 
 NAMES = {TIME: "time", DURATION: "duration", KIND: "text"}
@@ -59,20 +59,6 @@ null, join by `IS NOT DISTINCT FROM`.
 """
 
 
-def described_points(fields):
-    """The columns of points that follow from the catalogue: of the message with a command."""
-    for message in messages(fields).values():
-        values = [(c.name, said(c.metadata)) for c in message if said(c.metadata).get("role") == "value"]
-        if not any(name.endswith("_commanded") for name, _ in values):
-            continue
-        for name, about in values:
-            if about.get("unit") in ("A", "V", "W", "RPM") and not name.endswith(("_commanded", "_error")):
-                yield name, "number", f"its mean: {about['title']}", about["unit"]
-        for name, about in values:
-            if about.get("unit") in DEGREES:
-                yield f"{name}_slope", "number", f"how fast it rose: {about['title']}", f"{about['unit']}/min"
-
-
 def table(rows):
     """Lines of a table."""
     lines = ["| column | type | unit | meaning |", "|---|---|---|---|"]
@@ -104,7 +90,7 @@ def unit(column):
 
 print(HEADING)
 print("## Every message\n")
-print(table((f"`{name}`", name_of(type_), "", text) for name, (type_, text) in ABOUT_HEAD.items()))
+print(table((f"`{each['name']}`", name_of(HEAD[each["name"]]), "", each["help"]) for each in OWN["head"]))
 fields = Tshark(plugin=str(Path(__file__).parents[1] / "yapp.lua")).fields()
 for name, schema in messages(fields).items():
     print(f"\n## {name}: {said(schema.metadata)['title']}\n\nThe columns of every message, then:\n")
@@ -114,7 +100,7 @@ for name, schema in messages(fields).items():
 for name in TABLES:
     columns = columns_of(fields, name)
     if name == "points":
-        columns = [*columns, *(record_column(*each) for each in described_points(fields))]
+        columns = [*columns, *map(record_column, point_columns(messages(fields)))]
     print(f"\n## {name}\n\n{ABOUT[name]}\nThe first columns are `flight_id` and `source_file`, then:\n")
     names = {"message": "message_name"}
     print(table((f"`{names.get(c.name, c.name)}`", name_of(c.type), unit(c), said(c.metadata)["title"]) for c in columns))

@@ -53,6 +53,7 @@ class Flight(Mapping[str, pa.Table]):
         self.summary = table(export.records["summary"], self.records["summary"])
         self.buses = table(export.records["buses"], self.records["buses"])
         known = catalogue(export.fields)
+        self.records["points"] = pa.schema([*self.records["points"], *map(record_column, point_columns(known))])
         self.titles: dict[str, str] = {name: schema.metadata[b"title"].decode() for name, schema in known.items()}
         self.about = {"source_file": self.name, "flight_id": self.flight_id}
         every = {
@@ -97,17 +98,18 @@ class Flight(Mapping[str, pa.Table]):
                      if {*commands, *asked} & set(schema.names)}  # fmt: skip
         start = self.start()
         found = samples(following, start=start)
-        bench = aligned(log, found) if log else None
+        bench, columns = aligned(log, found) if log else None, list(self.records["points"])
         if bench:
             self.notes.append(bench.said)
-        columns = [record_column(*each) for each in point_columns(found, bench)]
+            about = {"type": "number", "help": "its mean, of the bench's log"}
+            columns += [record_column({"name": name} | about) for name in bench.columns]
 
         def timed(rows: Iterator[Record], schema: pa.Schema) -> pa.Table:
             return table((row | {"time": Decimal(start + round(row["at"] * 1e9)).scaleb(-9)} for row in rows), schema)
 
         records = {name: getattr(self, name) for name in ("events", "faults", "summary", "buses")} | {
             "steps": timed(steps(found), self.records["steps"]),
-            "points": timed(points(found, bench), pa.schema([*self.records["points"], *columns])),
+            "points": timed(points(found, bench), pa.schema(columns)),
             "flights": pa.Table.from_pylist([self._row(capture, options)], self.records["flights"]),
         }
         return self._tables | {name: to_write(name, rows, self.about) for name, rows in records.items()}

@@ -9,7 +9,7 @@ from typing import Any
 import pyarrow as pa
 from mcap.writer import Writer
 
-from .tables import DURATION, TIME, said
+from .tables import TIME, said
 from .writers import Tables, begin, by_source, in_seconds, times_of
 
 # MCAP has the time itself; the rest stands once, in `flights`.
@@ -28,6 +28,7 @@ def write_mcap(tables: Tables, path: Path, *_: str) -> None:
 
 
 def _write(writer: Any, name: str, table: pa.Table, start: int) -> None:
+    table = in_seconds(table)
     names = [each for each in table.schema.names if each not in LEFT_OUT or name == "flights"]
     # As Foxglove reads it.
     properties = {each: _property(table.schema.field(each)) for each in names}
@@ -35,8 +36,7 @@ def _write(writer: Any, name: str, table: pa.Table, start: int) -> None:
     schema = writer.register_schema(name, "jsonschema", json.dumps(about | {"properties": properties}).encode())
     for source, rows in by_source(table):
         channel = writer.register_channel("/".join(("", name, *source)), "json", schema)
-        known = in_seconds(rows.select(names))
-        cells = [each.cast(pa.string()) if each.type == TIME else each for each in known.columns]  # JSON has no times
+        cells = [rows[each].cast(pa.string()) if rows[each].type == TIME else rows[each] for each in names]
         for time, row in zip(times_of(rows, start).to_pylist(), pa.table(cells, names).to_pylist(), strict=True):
             there = {key: value for key, value in row.items() if value is not None}
             writer.add_message(channel, time, json.dumps(there, ensure_ascii=False).encode(), time)
@@ -45,10 +45,10 @@ def _write(writer: Any, name: str, table: pa.Table, start: int) -> None:
 def _property(column: pa.Field) -> dict[str, Any]:
     """Return what the schema says of a column; an enum is a `oneOf` of constants with titles."""
     known = said(column.metadata)
-    unit, title = "s" if column.type == DURATION else known.get("unit", ""), known.get("title", column.name)
-    is_number = pa.types.is_floating(column.type) or column.type == DURATION
-    type_ = "integer" if pa.types.is_integer(column.type) else "number" if is_number else "string"
-    about: dict[str, Any] = {"type": "boolean" if pa.types.is_boolean(column.type) else type_, "title": title}
+    unit, title = known.get("unit", ""), known.get("title", column.name)
+    kinds = {"boolean": pa.types.is_boolean, "integer": pa.types.is_integer, "number": pa.types.is_floating}
+    type_ = next((name for name, is_it in kinds.items() if is_it(column.type)), "string")
+    about: dict[str, Any] = {"type": type_, "title": title}
     about["description"] = f"{title} [{unit}]" if unit else title
     about |= {key: text for key, text in (("unit", unit), ("filter", known.get("filter"))) if text}
     if values := json.loads(known.get("values", "{}")):

@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from asammdf import MDF, Signal
 
-from .tables import DURATION, HEAD, TIME, is_message, said
-from .writers import Tables, begin, by_source, times_of
+from .tables import HEAD, TIME, is_message, said
+from .writers import Tables, begin, by_source, in_seconds, times_of
 
 # As the plugin numbers the reserved counts in `<field>.special`.
 SPECIAL = ("nan", "inf", "-inf", "above", "below")
@@ -34,7 +34,7 @@ def write_mf4(tables: Tables, path: Path, _: str, flight: str) -> None:
 
 def _append(mdf: Any, message: str, table: pa.Table, start: int) -> None:
     """Add the channel groups of one message, one for each source."""
-    names = set(table.schema.names)
+    table, names = in_seconds(table), set(table.schema.names)
     left_out = HEAD.keys() - {"frame", "id", "seq"} if is_message(table) else set()
     # An enum's text: the number's conversion says the same.
     left_out |= {name for name in names if name.endswith("_text") and name.removesuffix("_text") in names}
@@ -65,7 +65,7 @@ def _signal(column: pa.Field, cells: pa.Array, times: Any, groups: tuple[str, ..
         samples,
         times,
         name=column.name,
-        unit="s" if column.type == DURATION else known.get("unit", ""),
+        unit=known.get("unit", ""),
         comment=known.get("title", ""),
         conversion=conversion or None,
         invalidation_bits=absent,
@@ -78,8 +78,6 @@ def _samples(cells: pa.Array) -> Any:
     """Return cells as numpy has them."""
     if pa.types.is_string(cells.type):
         return np.char.encode(pc.fill_null(cells, "").to_numpy(zero_copy_only=False).astype("U"), "utf-8")
-    if cells.type == DURATION:
-        return pc.fill_null(cells.cast(pa.int64()), 0).to_numpy(zero_copy_only=False) / NANOSECONDS
     if pa.types.is_boolean(cells.type):
         cells = cells.cast(pa.uint8())
     return pc.fill_null(cells, 0).to_numpy(zero_copy_only=False)

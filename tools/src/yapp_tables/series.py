@@ -46,8 +46,7 @@ class Samples:
 
     def names(self, role: str, *units: str) -> list[str]:
         """Return the columns of a role, and of these units."""
-        return [name for name, about in self.about.items()
-                if about.get("role") == role and (not units or self.unit_of(name) in units)]  # fmt: skip
+        return named(self.about, role, *units)
 
     def measured(self, *units: str) -> list[str]:
         """Return the values of these units that are no commands."""
@@ -75,6 +74,12 @@ class Samples:
         """Return the time before each message; NaN before the first of a flight."""
         gaps = np.diff(self.times, prepend=self.times[:1] - APART)
         return np.where(gaps > APART / 2, np.nan, gaps)
+
+
+def named(about: Mapping[str, Mapping[str, str]], role: str, *units: str) -> list[str]:
+    """Return the columns of a role, and of these units. about: the metadata of all."""
+    return [name for name, known in about.items()
+            if known.get("role") == role and (not units or known.get("unit") in units)]  # fmt: skip
 
 
 def split(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:

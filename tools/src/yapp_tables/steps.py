@@ -15,7 +15,8 @@ from pyarrow import csv
 
 from .changes import command_of, lowest
 from .errors import CaptureError, SetupError
-from .series import DEGREES, Array, Samples, numbers
+from .series import DEGREES, Array, Samples, named, numbers
+from .tables import said
 from .tshark import Record
 
 LEAST_STEP, HOLD, NEAR = 0.05, 0.5, 0.2  # share of the command's range; seconds; share of the step
@@ -34,9 +35,9 @@ def followed(found: Mapping[tuple[str, str], Samples]) -> Iterator[tuple[Samples
                 yield one, pair[0], when[good], told[good]
 
 
-def measured_names(one: Samples) -> list[str]:
-    """Return the values whose means a point has."""
-    return [name for name in one.measured("A", "V", "W", "RPM") if not name.endswith("_error")]
+def averaged(about: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Return the values whose means a point has. about: the metadata of a message's columns."""
+    return [name for name in named(about, "value", "A", "V", "W", "RPM") if not name.endswith(("_commanded", "_error"))]
 
 
 def steps(found: Mapping[tuple[str, str], Samples]) -> Iterator[Record]:
@@ -103,7 +104,7 @@ def points(found: Mapping[tuple[str, str], Samples], bench: "Bench | None" = Non
     bench: a thrust stand, with the times of the capture.
     """
     for one, speed, when, told in followed(found):
-        names, degrees = measured_names(one), one.names("value", *DEGREES)
+        names, degrees = averaged(one.about), one.names("value", *DEGREES)
         for first, last in _holds(when, told, LEVEL * max(float(np.abs(told).max()), 1e-9)):
             begin, end = when[first] + SETTLED, when[last]
             use = _between(one.times, begin, end)
@@ -143,17 +144,17 @@ def _mean(values: Array) -> float | None:
     return float(known.mean()) if len(known) else None
 
 
-def point_columns(found: Mapping[tuple[str, str], Samples], bench: "Bench | None") -> list[tuple[str, str, str, str]]:
-    """Return the columns of points besides POINTS: (name, type, meaning, unit)."""
-    columns = {}
-    for one, *_ in followed(found):
-        for name in measured_names(one):
-            columns[name] = name, "number", f"its mean: {one.title_of(name)}", one.unit_of(name)
-        for name in one.names("value", *DEGREES):
-            about = f"how fast it rose: {one.title_of(name)}", f"{one.unit_of(name)}/min"
-            columns[f"{name}_slope"] = f"{name}_slope", "number", *about
-    logged = bench.columns if bench else ()
-    return [*columns.values(), *((name, "number", "its mean, of the bench's log", "") for name in logged)]
+def point_columns(messages: Mapping[str, pa.Schema]) -> Iterator[Record]:
+    """Yield the columns of points besides the fixed ones: of the catalogue's messages with a command."""
+    for schema in messages.values():
+        about = {each.name: said(each.metadata) for each in schema}
+        if any(name.endswith("_commanded") for name in about):
+            for name in averaged(about):
+                text, unit = f"its mean: {about[name]['title']}", about[name]["unit"]
+                yield {"name": name, "type": "number", "help": text, "unit": unit}
+            for name in named(about, "value", *DEGREES):
+                text, unit = f"how fast it rose: {about[name]['title']}", f"{about[name]['unit']}/min"
+                yield {"name": f"{name}_slope", "type": "number", "help": text, "unit": unit}
 
 
 # ---- the log of a thrust stand

@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from decimal import Decimal
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -25,19 +26,14 @@ TIME = pa.timestamp("ns", tz="UTC")
 DURATION = pa.duration("ns")
 # A text of few kinds.  All tables have the same type for the same column: they are joined by it.
 KIND = pa.dictionary(pa.int32(), pa.string())
-# Every message's first columns: type and meaning.  The CSV has no source_file, controller and flight_id.
-ABOUT_HEAD = {
-    "time": (TIME, "when the message was complete, UTC, by the clock of the recorder"),
-    "source_file": (KIND, "the name of the capture"),
-    "bus": (KIND, "the name of the bus or line; null where the capture names none"),
-    "frame": (pa.int64(), "the number of the message's last packet in the capture"),
-    "source": (KIND, "the name that `yapp.sources` gives to the ID; null without a name"),
-    "controller": (KIND, "the same name: Motor Data, Health and Command of a controller have it in common"),
-    "id": (pa.uint32(), "the message ID"),
-    "seq": (pa.uint8(), "the sequence number"),
-    "flight_id": (KIND, "of the capture's content: the first 16 digits of its SHA-256"),
-}
-HEAD = {name: type_ for name, (type_, _) in ABOUT_HEAD.items()}
+# The types of fields.json's statistics. What has another type is an object or a list: it goes into `other`.
+TYPES = {"time": TIME, "id": pa.uint32(), "integer": pa.int64(), "number": pa.float64(), "seconds": pa.float64()}
+TYPES |= {"boolean": pa.bool_(), "string": KIND, "text": pa.string(), "byte": pa.uint8()}
+# Columns that this package adds, described as fields.json describes those of the plugin. head: the first columns of
+# every message; the CSV has no source_file, controller and flight_id.
+OWN: dict[str, list[Record]] = json.loads(files(__package__).joinpath("tables.json").read_text(encoding="utf-8"))
+HEAD = {each["name"]: TYPES[each["type"]] for each in OWN["head"]}
+TABLES = ("events", "faults", "summary", "buses", "steps", "points", "flights")
 # The types of fields.json that need no second look, and their roles.  A time is the controller's own clock.
 ROLES = {
     "float": (pa.float64(), "value"),
@@ -148,77 +144,25 @@ def repeated(text: str, count: int) -> Any:
 
 # ---- tables that say what happened in a flight: events, faults, summary, steps, points, and the flight itself
 
-# The types of fields.json's statistics. What has another type is an object or a list: it goes into `other`.
-TYPES = {"time": TIME, "id": pa.uint32(), "integer": pa.int64(), "number": pa.float64(), "seconds": pa.float64()}
-TYPES |= {"boolean": pa.bool_(), "string": KIND, "text": pa.string()}
-CONTROLLER = "controller", "string", "the same name: all messages of a controller have it"
-OTHER = "other", "text", "what the plugin says besides, as JSON: keys that have no column of their own"
-# A table of this package: name, type, meaning, unit. The plugin describes events, faults and summary.
-FLIGHTS = (
-    ("capture", "text", "the path of the capture, when it was converted", ""),
-    ("start", "time", "the first message, UTC; null where the capture tells no absolute time", ""),
-    ("length", "number", "from the first message to the last; without steps of the clock", "s"),
-    ("plugin", "string", "the version of the plugin", ""),
-    ("tools", "string", "the version of yapp-tables", ""),
-    ("options", "string", "the preferences", ""),
-    ("messages", "integer", "rows of all messages", ""),
-    ("faults", "integer", "incidents with a fault; events of a controller at most 2 s apart are one incident", ""),
-    ("partial", "text", "why the capture was read only in part", ""),
-    ("left_out", "text", "which messages were not decoded, and what to know of the times and of copies", ""),
-)
-WHO = (
-    ("time", "time", "when the command changed, or the hold began, UTC", ""),
-    ("frame", "integer", "the message of the controller that comes next", ""),
-    ("bus", "string", "the bus or line; null where the capture names none", ""),
-    ("id", "id", "the message ID", ""),
-    ("controller", "string", "the name of the controller, or bus and ID", ""),
-    ("message", "string", "the message that has what was measured", ""),
-    ("field", "string", "what follows the command", ""),
-)
-STEPS = (
-    *WHO,
-    ("before", "number", "the command before, in the field's unit", ""),
-    ("after", "number", "the command from then on", ""),
-    ("hold", "number", "how long it stayed", "s"),
-    ("dead_time", "number", "until 10 % of the change were reached", "s"),
-    ("lag", "number", "until 63 %", "s"),
-    ("rise_time", "number", "from 10 % to 90 %", "s"),
-    ("overshoot", "number", "how far beyond the command, as a share of the change", ""),
-    ("settling_time", "number", "until it stayed within 5 % of the change, or its noise; null if it never did", "s"),
-    ("final_error", "number", "measured less commanded, mean of the last third of the hold", ""),
-    ("resolution", "number", "time between two messages: a time is known no better", "s"),
-)
-POINTS = (
-    *WHO,
-    ("command", "number", "the command, in the field's unit", ""),
-    ("length", "number", "how long it was held", "s"),
-    ("messages", "integer", "how many messages are in the means", ""),
-)
-TABLES = ("events", "faults", "summary", "buses", "steps", "points", "flights")
 
-
-def record_column(name: str, type_: str, meaning: str, unit: str = "") -> pa.Field:
-    """Return a column of a record; type_: a word of TYPES."""
-    return column(name, TYPES[type_], "text" if TYPES[type_] in (KIND, pa.string()) else "value", meaning, unit)
+def record_column(entry: Record) -> pa.Field:
+    """Return a column of a record, as fields.json describes it."""
+    type_, about = TYPES[entry["type"]], (entry.get("help") or entry.get("title") or "", entry.get("unit") or "")
+    return column(entry["name"], type_, "text" if type_ in (KIND, pa.string()) else "value", *about)
 
 
 def columns_of(fields: Record, name: str) -> pa.Schema:
     """Return the columns of a table: as the plugin's fields.json describes them, or those of this package."""
-    own = {"flights": FLIGHTS, "steps": STEPS, "points": POINTS}
-    if name in own:
-        return pa.schema([record_column(*each) for each in own[name]])
+    if name in OWN:
+        return pa.schema(map(record_column, OWN[name]))
     described = fields["statistics"][name]["columns"]
     if name == "events":  # a fault is an event, too
-        more = fields["statistics"]["faults"]["columns"]
-        described = {each["name"]: each for each in (*described, *more)}.values()
-    found = [
-        record_column(each["name"], each["type"], each.get("help") or each.get("title") or "", each.get("unit") or "")
-        for each in described
-        if each["type"] in TYPES
-    ]
+        described = [*described, *fields["statistics"]["faults"]["columns"]]
+    found = list({each["name"]: record_column(each) for each in described if each["type"] in TYPES}.values())
     if name != "buses":
-        found.insert([each.name for each in found].index("source") + 1, record_column(*CONTROLLER))
-    return pa.schema(found if name == "faults" else [*found, record_column(*OTHER)])
+        behind = [each.name for each in found].index("source") + 1
+        found[behind:behind] = map(record_column, OWN["controller"])
+    return pa.schema(found if name == "faults" else [*found, *map(record_column, OWN["other"])])
 
 
 def table(records: Iterable[Record], columns: pa.Schema) -> pa.Table:

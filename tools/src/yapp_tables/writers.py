@@ -33,10 +33,13 @@ def write_csv(tables: Tables, path: Path, *_: str) -> None:
 
 
 def in_seconds(rows: pa.Table) -> pa.Table:
-    """Return rows whose durations are numbers. A double has the nanoseconds of eleven days."""
-    cells = [pc.divide(each.cast(pa.int64()).cast(pa.float64()), 1e9) if each.type == DURATION else each
-             for each in rows.columns]  # fmt: skip
-    return pa.table(cells, rows.schema.names)
+    """Return rows whose durations are numbers of seconds. A double has the nanoseconds of eleven days."""
+    for at, field in enumerate(rows.schema):
+        if field.type == DURATION:
+            numbers = pc.divide(rows[at].cast(pa.int64()).cast(pa.float64()), 1e9)
+            known = (field.metadata or {}) | {b"unit": b"s"}
+            rows = rows.set_column(at, field.with_type(pa.float64()).with_metadata(known), numbers)
+    return rows
 
 
 def _path(path: Path, name: str, suffix: str) -> Path:
