@@ -216,14 +216,6 @@ def _by_second(found: Found, values: list[Array], step: float = 1.0, hold: int =
 # ---- limits, out of a file of rules for -z yapp,check or a default set
 
 RANGE = re.compile(r"(\w+)\.(\w+)(?:\.value)?=(-?[\d.]*?)\.\.(-?[\d.]*)")
-# Ours, not the vendor's: what electronics and windings usually bear.
-DEFAULTS = """
-motor.motor_temperature=..120
-motor.esc_temperature=..100
-health.cpu_temperature=..105
-health.capacitor_temperature=..105
-health.fet_temperature=..120
-"""
 
 
 class Limits:
@@ -233,8 +225,8 @@ class Limits:
         """path: a file of rules, None for the default set. Raises OSError."""
         self.is_default, self.name = path is None, path.name if path else ""
         self.ranges: dict[tuple[str, str, str], tuple[float, float]] = {}
-        lines = (path.read_text(encoding="utf-8", errors="replace") if path else DEFAULTS).splitlines()
-        source = ""
+        rules, source = path or Path(__file__).with_name("default.rules"), ""
+        lines = rules.read_text(encoding="utf-8", errors="replace").splitlines()
         for text in (line.partition("#")[0].strip() for line in lines):
             if text.startswith("source="):
                 source = text.removeprefix("source=")

@@ -4,6 +4,7 @@
 import base64
 import gzip
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,6 +19,7 @@ CLOUD_ENDS = 20
 COLOURS, IDS_OF_A_BUS = 16, 8
 
 
+@dataclass
 class Pictures:
     """What report.js draws, as JSON.
 
@@ -26,18 +28,16 @@ class Pictures:
     elsewhere; phases: in flight.
     """
 
-    def __init__(self, limits: Limits) -> None:
-        """Begin with none."""
-        self.limits = limits
-        self.sources: list[Record] = []
-        self.messages: list[Found] = []
-        self.times: list[Record] = []
-        self.figures: list[Record] = []
-        self.clouds: list[Record] = []
-        self.differs: list[Record] = []
-        self.phases: list[tuple[float, float]] = []
-        self.bytes = bytearray()
-        self._leads: dict[object, Record] = {}  # the first source of each controller
+    limits: Limits
+    sources: list[Record] = field(default_factory=list)
+    messages: list[Found] = field(default_factory=list)
+    times: list[Record] = field(default_factory=list)
+    figures: list[Record] = field(default_factory=list)
+    clouds: list[Record] = field(default_factory=list)
+    differs: list[Record] = field(default_factory=list)
+    phases: list[tuple[float, float]] = field(default_factory=list)
+    bytes: bytearray = field(default_factory=bytearray)
+    _leads: dict[object, Record] = field(default_factory=dict)  # the first source of each controller
 
     def add(self, found: Found, excused: Mapping[str, Windows]) -> None:
         """Draw a message of all sources, that with the speed first. excused: of sources, when they are not compared."""

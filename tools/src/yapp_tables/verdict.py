@@ -224,9 +224,8 @@ def headline(data: Record) -> tuple[str, str]:
     for one in (one for row in data["incidents"] for one in row["rows"] if one["kind"] in LOSSES):
         losses[one["label"], one["kind"] == "missing"] += one["count"]
     who = sorted({label for label, _ in losses})
-    count = sum(
-        max(losses[label, True], losses[label, False]) for label in who
-    )  # one that came damaged is missing, too
+    # One that came damaged is missing, too.
+    count = sum(max(losses[label, True], losses[label, False]) for label in who)
     whose = f" of {who[0]}" if len(who) == 1 else ""
     lost = [f"{count_of(count, 'message')}{whose} damaged or lost"] if who else []
     if said:
