@@ -52,13 +52,11 @@ local function read_chosen_file()
   local text = file and "\n" .. file:read("*a") or ""
   return text:match("\nyapp%.messages:[ \t]*([^%s][^\r\n]*)") or ""
 end
+local own_file = Dir.personal_config_path("yapp_messages.lua")
 local chosen_file, named_file = read_chosen_file(), os.getenv("YAPP_MESSAGES") or ""
 
 local catalogue, mistakes = compiler.load {
-  { path = here .. "taurus_fields.lua" },
-  { path = Dir.personal_config_path("yapp_messages.lua"), optional = true },
-  { path = chosen_file, optional = chosen_file == "" },
-  { path = named_file, optional = named_file == "" },
+  here .. "taurus_fields.lua", io.open(own_file) and own_file or "", chosen_file, named_file,
 }
 preferences.complain(mistakes)
 

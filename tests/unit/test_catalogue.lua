@@ -217,7 +217,7 @@ end
 -- The names, IDs and types of what was loaded from files with these texts, and the problems.
 local function load(...)
   local list = {}
-  for i, text in ipairs { ... } do list[i] = { path = write(text) } end
+  for i, text in ipairs { ... } do list[i] = write(text) end
   local compiled, problems = catalogue.load(list)
   local names = {}
   for i, one in ipairs(compiled.messages) do
@@ -236,7 +236,7 @@ function T.test_an_error_names_file_message_and_field()
   local names, problems, list = load("return {" .. entry_text("a", 1) .. "}", "return {" .. entry_text("b", 2, "uint9") ..
     entry_text("c", 1) .. entry_text("d", 4) .. entry_text("d", 5) .. "{} }")
   lu.assertEquals(names, "a 1 uint8, d 4 uint8")
-  local path = list[2].path
+  local path = list[2]
   lu.assertStrContains(problems[1], path .. ': message b, field f: unknown type "uint9"; the types are')
   lu.assertEquals(problems[2], path .. ": message c: id 0x1 is that of message a; this message is not decoded")
   lu.assertEquals(problems[3], path .. ": message d: the name is there twice; this message is not decoded")
@@ -255,16 +255,16 @@ function T.test_a_file_that_is_no_catalogue()
   } do
     local names, problems, list = load("return {" .. entry_text("a", 1) .. "}", text)
     lu.assertEquals({ names, #problems }, { "a 1 uint8", 1 }, text)
-    lu.assertStrContains(problems[1], list[2].path)
+    lu.assertStrContains(problems[1], list[2])
     lu.assertStrContains(problems[1], said)
   end
 end
 
 function T.test_a_file_that_is_not_there()
   local path = write("return {" .. entry_text("a", 1) .. "}")
-  local compiled, problems = catalogue.load { { path = path }, { path = path .. ".no", optional = true } }
+  local compiled, problems = catalogue.load { path, "" }
   lu.assertEquals({ #compiled.messages, problems }, { 1, {} })
-  compiled, problems = catalogue.load { { path = path .. ".no" }, { path = path } }
+  compiled, problems = catalogue.load { path .. ".no", path }
   lu.assertEquals({ #compiled.messages, #problems }, { 1, 1 })
   lu.assertStrContains(problems[1], path .. ".no: cannot be read: ")
 end

@@ -312,19 +312,16 @@ local function add_file(all, path)
 end
 
 --- Read the files of the catalogue and compile them as one.
--- files    list of { path =, optional = true if the file may be missing }, in order: a message of a
---          later file replaces one of the same name
+-- paths    of the files in their order, "" for none: a message of a later file replaces one of the
+--          same name
 -- returns  as M.compile
-function M.load(files)
-  local all, problems = { entries = {}, paths = {}, indexes = {} }, {}
-  for _, file in ipairs(files) do
-    local ok, why = true, nil
-    if not file.optional or io.open(file.path) then ok, why = pcall(add_file, all, file.path) end
-    if not ok then
-      problems[#problems + 1] = ("%s: cannot be read: %s; its messages are not decoded"):format(
-        file.path, tostring(why))
-    end
-  end
+function M.load(paths)
+  local all = { entries = {}, paths = {}, indexes = {} }
+  local problems = mapped(paths, function(path)
+    if path == "" then return nil end
+    local ok, why = pcall(add_file, all, path)
+    return not ok and ("%s: cannot be read: %s; its messages are not decoded"):format(path, why)
+  end)
   local catalogue, mistakes = M.compile(all.entries, all.paths)
   return catalogue, joined(problems, mistakes)
 end
