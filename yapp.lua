@@ -97,7 +97,7 @@ local ids -- of CAN, see Registration
 local stat -- the same of statistics, see make_statistics
 
 local function reset_reading()
-  reading:reset { late = settings.late, catalogue = catalogue, capture = capture }
+  reading:reset(settings.late)
   wants:reset()
   frames:reset()
   streams:reset()

@@ -44,8 +44,8 @@ end
 local function new(options)
   options = options or {}
   local function has_times() return not options.lacks_times, not options.lacks_times end
-  return history.new { late = options.late or 2.5, catalogue = options.catalogue or TAURUS,
-    capture = { has_times = has_times, stamps = stamps_of.new() } }
+  return history.new((options.catalogue or TAURUS).messages, { has_times = has_times, stamps = stamps_of.new() },
+    options.late or 2.5)
 end
 
 -- What a list of messages gives in order, what is new and how things stand in one table, delta with it;

@@ -43,12 +43,11 @@ local function new_capture(with)
   types:use(catalogue_of.assign(TAURUS, {}), (sources.parse("", TAURUS)),
     { several_buses = with and with.several }, function() end)
   local reading, events = reading_of.new(types, capture, function() end), {}
-  local options = { late = 3, catalogue = TAURUS, capture = capture }
-  reading:reset(options)
+  reading:reset(3)
   reading:listen { report = function(_, result)
     for _, text in ipairs(events_in_words { result }) do events[#events + 1] = text end
   end }
-  return { reading = reading, events = events, number = 0, options = options }
+  return { reading = reading, events = events, number = 0 }
 end
 
 -- A payload of a message: its bytes count up, but for Motor Data, whose flags are 0.
@@ -307,7 +306,7 @@ function T.test_the_end_of_another_file()
   local capture = new_capture()
   visit(capture, frames_of(MOTOR, 9, payload_of(MOTOR, 1))[1])
   lu.assertEquals(#capture.reading:finish(false), 1)
-  capture.reading:reset(capture.options)
+  capture.reading:reset(3)
   lu.assertEquals(capture.reading:finish(false), {})
 end
 

@@ -45,7 +45,7 @@ local function new(options)
   local capture = {}
   capture.stamps = stamps_of.new()
   function capture.has_times() return not options.lacks_times, not (options.lacks_times or options.lacks_clock) end
-  return history.new { late = 2.5, catalogue = TAURUS, capture = capture }
+  return history.new(TAURUS.messages, capture, 2.5)
 end
 
 -- The number of the message at which it shows that these are of several controllers, nil for never.

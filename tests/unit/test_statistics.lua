@@ -710,8 +710,8 @@ function T.test_disabled()
         end
       end
     end
-    local past = history_of.new { late = 2.5, catalogue = catalogue,
-      capture = { has_times = function() return true, true end, stamps = stamps_of.new() } }
+    local past = history_of.new(catalogue.messages,
+      { has_times = function() return true, true end, stamps = stamps_of.new() }, 2.5)
     for _, one in ipairs(records) do
       local values = one.values
       values.source, values.key, values.time, values.status = one.source, one.frame * 0x20000, one.time, "good"

@@ -37,14 +37,15 @@ local History = {}
 History.__index = History
 
 --- Make the history of one pass over one capture.
--- options  { catalogue = compiled,
---            late = periods of a message that a gap must exceed to be late,
---            capture = a capture.capture, asked whether the capture has times and a clock; and its
---            stamps, a capture.stamps }
-function M.new(options)
+-- messages  the message types
+-- capture   a capture.capture, asked whether the capture has times and a clock; and its stamps, a
+--           capture.stamps
+-- late      periods of a message that a gap must exceed to be late
+function M.new(messages, capture, late)
   local self = setmetatable({
-    options = options,
-    stamps = options.capture.stamps,
+    capture = capture,
+    stamps = capture.stamps,
+    late = late,
     by_source = {}, -- [source] = see new_source
     commands = {}, -- [name of a message that others answer][bus or false] = frame keys, ascending
     motors = {}, -- the same: the states of the sources that answer and have a speed, see new_source
@@ -52,7 +53,7 @@ function M.new(options)
     changes = {}, -- its change, or nil
     deltas = {}, -- seconds since the source's previous good message, or false
   }, History)
-  for _, message_type in ipairs(options.catalogue.messages) do
+  for _, message_type in ipairs(messages) do
     local answered = message_type.answers
     if answered then
       self.commands[answered] = memo()
@@ -64,15 +65,15 @@ end
 
 local function new_source(self, message)
   local message_type, bus = message.source.type or NO_TYPE, message.source.bus_key or false
-  local options, answered = self.options, self.commands[message_type.answers]
-  local has_times, has_clock = options.capture:has_times()
+  local answered = self.commands[message_type.answers]
+  local has_times, has_clock = self.capture:has_times()
   local answering, motors = self.commands[message_type.name], self.motors[message_type.name]
   local source = {
     source = message.source,
     -- Its message type:
     flag_fields = message_type.flag_fields,
     period = message_type.every or 0,
-    longest = has_times and options.late * (message_type.every or huge) + HALF_NANOSECOND or huge,
+    longest = has_times and self.late * (message_type.every or huge) + HALF_NANOSECOND or huge,
     has_times = has_times,
     has_clock = has_clock,
     stamps = self.stamps,
@@ -313,7 +314,7 @@ end
 --          message; time = seconds of the capture }
 -- returns  its change, nil if the message is not good or changes nothing: {
 --   missing  how many messages are missing before it by Seq
---   late     seconds since the previous one, if that is more than options.late periods
+--   late     seconds since the previous one, if that is more than `late` periods
 --   may_be_late  true if that is so unless the capture's clock was set
 --   reboot   seconds by which the controller's clock went back
 --   jump     seconds by which it advanced more than the capture's, if more than one

@@ -49,9 +49,10 @@ function Reading:listen(listener)
 end
 
 --- Forget the capture file.
--- options  of message.history
-function Reading:reset(options)
-  self.history, self.copies = history.new(options), copies.new(self.capture)
+-- late  of message.history
+function Reading:reset(late)
+  self.history = history.new(self.types.messages, self.capture, late)
+  self.copies = copies.new(self.capture)
   -- CAN:
   self.reassembly = reassembly.new(self.capture, self.on_unknown)
   self.sources = memo(function(bus) -- [bus or false][ID] = a source
