@@ -8,6 +8,7 @@
 -- digits of an integer beyond 2^53; the bytes of times, strings and bytes.
 
 local binary = require "yapp.message.binary"
+local input = require "yapp.base.input"
 local memo = require "yapp.base.memo"
 local utf8 = require "yapp.base.utf8"
 
@@ -110,57 +111,36 @@ local function read_bytes(field, payload)
   return payload:sub(field.offset + 1, field.offset + field.size)
 end
 
---- By the name of the kind:
---   filter   Wireshark's type of its filter; UINT and INT without the width
---   shown    how show.taurus adds it to a tree: "plain" (Wireshark reads the bytes), "number",
---            "text", "time" or "flags"
---   read     function(field, payload) -> raw
---   value    function(field, raw) -> see M.value; nil where the raw value is the value
---   column   type of its column in CSV and fields.json
---   unit     of a column without one of its own
---   code     format of a code in texts; nil: hexadecimal
---   is_number, is_text
-M.BY_NAME = {
-  uint = {
-    filter = "UINT",
-    shown = "plain",
-    column = "integer",
-    read = read_integer,
-    is_number = true,
-  },
-  int = {
-    filter = "INT",
-    shown = "plain",
-    column = "integer",
-    read = read_integer,
-    code = "%d", -- COMPAT 5.2: a negative number has no hexadecimal text
-    is_number = true,
-  },
-  scaled = {
-    filter = "DOUBLE",
-    shown = "number",
-    column = "float",
-    read = read_integer,
+-- name     of the kind
+-- column   type of its column in CSV and fields.json
+-- filter   Wireshark's type of its filter; UINT and INT without the width
+-- shown    how show.taurus adds it to a tree: "plain" (Wireshark reads the bytes), "number",
+--          "text", "time" or "flags"
+-- read     function(field, payload) -> raw
+-- value    function(field, raw) -> see M.value; nil where the raw value is the value
+-- unit     of a column without one of its own
+-- code     format of a code in texts; nil: hexadecimal
+-- is_number, is_text
+local KINDS = input.rows("name column filter shown read", {
+  { "uint", "integer", "UINT", "plain", read_integer, is_number = true },
+  -- COMPAT 5.2: a negative number has no hexadecimal text
+  { "int", "integer", "INT", "plain", read_integer, code = "%d", is_number = true },
+  {
+    "scaled", "float", "DOUBLE", "number", read_integer,
     value = function(field, raw) return raw * field.scale + field.zero end,
     is_number = true,
   },
-  -- A compressed float.
-  float = {
-    filter = "DOUBLE",
-    shown = "number",
-    column = "float",
-    read = read_integer,
+  { -- a compressed float
+    "float", "float", "DOUBLE", "number", read_integer,
     value = function(field, raw)
       if raw > field.ordinary then return nil, field.top - raw end
       return field.number(raw)
     end,
     is_number = true,
   },
-  ieee = {
-    filter = "DOUBLE",
-    shown = "number",
-    column = "float",
-    read = function(field, payload)
+  {
+    "ieee", "float", "DOUBLE", "number",
+    function(field, payload)
       return binary.ieee(payload, field.offset + 1, field.size)
     end,
     value = function(_, raw)
@@ -169,43 +149,36 @@ M.BY_NAME = {
     end,
     is_number = true,
   },
-  flags = { filter = "UINT", shown = "flags", column = "integer", read = read_integer },
-  time = {
-    filter = "RELATIVE_TIME",
-    shown = "time",
-    column = "time",
-    unit = "s",
-    read = read_bytes,
+  { "flags", "integer", "UINT", "flags", read_integer },
+  {
+    "time", "time", "RELATIVE_TIME", "time", read_bytes,
     value = function(_, raw) return binary.seconds(binary.time(raw)) end,
+    unit = "s",
   },
-  -- A text ends at its first NUL.  A character that cannot be shown is \xnn.
-  string = {
-    filter = "STRING",
-    shown = "text",
-    column = "string",
-    read = read_bytes,
+  { -- a text ends at its first NUL; a character that cannot be shown is \xnn
+    "string", "string", "STRING", "text", read_bytes,
     value = function(_, raw) return utf8.printable(raw:match("^%Z*"), "\\x%02x") end,
     is_text = true,
   },
-  bytes = {
-    filter = "BYTES",
-    shown = "plain",
-    column = "string",
-    read = read_bytes,
+  {
+    "bytes", "string", "BYTES", "plain", read_bytes,
     value = function(_, raw)
       return (raw:gsub(".", function(char) return format("%02x", char:byte()) end))
     end,
     is_text = true,
   },
-  -- Worked out from two fields; nil where one of them has no value, or where it is too large.
-  derived = {
-    column = "float",
+  { -- worked out from two fields; nil where one of them has no value, or where it is too large
+    "derived", "float",
     value = function(item, raws)
       local value = M.reader[item](raws)
       return value == value and value or nil
     end,
     is_number = true,
   },
-}
+})
+
+--- The kinds by name.
+M.BY_NAME = {}
+for _, kind in ipairs(KINDS) do M.BY_NAME[kind.name] = kind end
 
 return M
