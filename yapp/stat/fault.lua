@@ -355,8 +355,8 @@ end
 
 --- End, see stat.answer.
 function Fault:finish(ending, notes)
-  local context, card, count = self.context, self.card, lists.count_text(self.count, ending)
-  local code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
+  local context, card = self.context, self.card
+  local count, code = lists.count_text(self.count, ending)
   if card then
     print_card(context, ("YAPP fault: %d of %s"):format(card.number, count),
       row_of(self, card, ending), notes)

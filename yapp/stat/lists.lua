@@ -105,13 +105,15 @@ function M.event_row(context, event, ending, near, keys)
   return output.row(event.source, row)
 end
 
---- Return a number of faults as a text: where not all was read and decoded, none is known.
+--- Return a number of faults as a text, and the exit code: where not all was read and decoded, none
+-- is known.
 function M.count_text(count, ending)
   local why = ending.unread
   if ending.unknown > 0 then
     why = ending.unknown .. " of " .. output.count(ending.sources, "source") .. " not decoded"
   end
-  return why and ("UNKNOWN, %s, %d in what was decoded"):format(why, count) or count
+  return why and ("UNKNOWN, %s, %d in what was decoded"):format(why, count) or count,
+    ending.unknown > 0 and output.EXIT_UNDECIDED or nil
 end
 
 -- Add an event to the first one of its line.
@@ -174,8 +176,7 @@ function Lists:finish(ending, notes)
     if context.frames and not context.json then list = merge(list) end
   else
     for _ in pairs(self.incidents) do count = count + 1 end
-    count = M.count_text(count, ending)
-    code = ending.unknown > 0 and output.EXIT_UNDECIDED or nil
+    count, code = M.count_text(count, ending)
   end
   local keys = what == "faults" and FAULT_KEYS
   local rows = mapped(list, function(event)

@@ -23,6 +23,7 @@ local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
 local judge = require "yapp.stat.judge"
 local kinds = require "yapp.stat.kinds"
+local mapped = require "yapp.base.mapped"
 local output = require "yapp.stat.output"
 
 local M = {}
@@ -111,11 +112,10 @@ local function mean_of(series) return series.sum / series.count end
 local function measure_ratio(group, rule, check)
   local own, _, note = measure_values(group, rule, check)
   if not own then return nil, nil, note end
-  local means = {}
-  for _, other in ipairs(check.list) do
+  local means = mapped(check.list, function(other)
     local is_other = other ~= group and other.type == group.type
-    means[#means + 1] = is_other and measure_values(other, rule, check) or nil
-  end
+    return is_other and measure_values(other, rule, check)
+  end)
   local middle = means[1] and groups.median(means) or 0
   if middle == 0 then return nil end
   return own / middle, nil, ("of %s"):format(output.count(#means, "other source"))
@@ -238,14 +238,15 @@ end
 local of_kind = {}
 
 function of_kind.absent(_, rule, check)
-  local names, is_named = {}, rule.is_default
-  for _, row in ipairs(check.context.settings.sources.rows) do
-    if row.type and M.is_of(rule, row) then
-      is_named = true
-      names[#names + 1] = check.absent[row] and (row.name or output.bus_and_id(row)) or nil
-    end
+  local rows = mapped(check.context.settings.sources.rows, function(row)
+    return row.type and M.is_of(rule, row) and row
+  end)
+  if not (rows[1] or rule.is_default) then
+    return nil, nil, "no source is named with a message: see yapp.sources"
   end
-  if not is_named then return nil, nil, "no source is named with a message: see yapp.sources" end
+  local names = mapped(rows, function(row)
+    return check.absent[row] and (row.name or output.bus_and_id(row))
+  end)
   return #names, nil, table.concat(names, ", ")
 end
 
