@@ -240,7 +240,7 @@ local function unfinished(text, options)
   local known, list = words.new(), {}
   words.visits(known, words.frames(text, options or {}))
   for i, open in ipairs(known.reassembly:unfinished()) do
-    list[i] = words.numbers(open.message)[1]
+    list[i] = words.numbers(open.transfer)[1]
   end
   return table.concat(list, ", ")
 end

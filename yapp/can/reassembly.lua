@@ -7,7 +7,7 @@
 -- of two buses that nothing tells apart.  Then each open message gets the frames behind its Start,
 -- and at an End can.search decides.  It also finds frames that came twice.
 --
--- A message is reported once, by the frame that decides it.  Its record is
+-- A message is reported once, by the frame that decides it.  Its record is a transfer:
 --   1 .. n     frame keys of its fragments (base.frame_key); while it is open, of those that it may
 --              have
 --   slot, source; time = of its latest frame
@@ -74,50 +74,50 @@ end
 
 -- End a message with a status.  If a recorder holds its Start twice, the other one may be lost
 -- without a word.
-local function close(message, status)
-  message.status, message.chunks, message.older = status, nil, nil
-  if message.twin then message.twin.is_copy = true end
+local function close(transfer, status)
+  transfer.status, transfer.chunks, transfer.older = status, nil, nil
+  if transfer.twin then transfer.twin.is_copy = true end
 end
 
 -- End a message that has more or fewer bytes than its size, or no End.
-local function lose(self, message)
-  local received = message.chunks.received
-  local status = received > message.size and "overrun" or "incomplete"
-  close(message, status)
-  message.received = received
-  if message.is_copy then return end
+local function lose(self, transfer)
+  local received = transfer.chunks.received
+  local status = received > transfer.size and "overrun" or "incomplete"
+  close(transfer, status)
+  transfer.received = received
+  if transfer.is_copy then return end
   local text = ("The message that started in frame %d has %d of %d bytes"):format(
-    number_of(message[1]), received, message.size)
+    number_of(transfer[1]), received, transfer.size)
   add_anomaly(self, "fragment." .. status, text)
 end
 
 -- End a message with its last frame.
 -- padding  bytes of CAN FD padding; nil if the message has more or fewer bytes than its size
-local function end_message(self, message, frame, padding)
-  local chunks = message.chunks
+local function end_transfer(self, transfer, frame, padding)
+  local chunks = transfer.chunks
   local payload = concat(chunks)
-  message.time, message.payload = frame.time, payload
+  transfer.time, transfer.payload = frame.time, payload
   if not padding then
-    lose(self, message)
-    return "last", message
+    lose(self, transfer)
+    return "last", transfer
   end
   if padding > 0 then
-    payload = payload:sub(1, message.size)
-    message.padding, message.payload = padding, payload
+    payload = payload:sub(1, transfer.size)
+    transfer.padding, transfer.payload = padding, payload
   end
   if chunks.is_truncated then
-    close(message, "truncated")
-    return "last", message
+    close(transfer, "truncated")
+    return "last", transfer
   end
-  local calculated = can_id.crc(frame.can_id, payload, message.reserved)
-  if calculated == message.crc then
-    close(message, "good")
-    self.ended[message.slot] = message
+  local calculated = can_id.crc(frame.can_id, payload, transfer.reserved)
+  if calculated == transfer.crc then
+    close(transfer, "good")
+    self.ended[transfer.slot] = transfer
   else
-    close(message, "bad")
-    message.calculated = calculated
+    close(transfer, "bad")
+    transfer.calculated = calculated
   end
-  return "last", message
+  return "last", transfer
 end
 
 -- Several open messages of a slot ----------------------------------------------------------------
@@ -134,7 +134,7 @@ end
 
 -- Let these be the open messages of a slot.
 local function set_open(self, slot, list)
-  for i, message in ipairs(list) do message.older = list[i - 1] end
+  for i, transfer in ipairs(list) do transfer.older = list[i - 1] end
   self.open[slot] = list[#list]
 end
 
@@ -143,16 +143,16 @@ end
 
 -- Take frames out of an open message.
 -- is_removed  by distance
-local function remove_frames(message, is_removed)
-  local chunks, last, count = message.chunks, #message, 1
+local function remove_frames(transfer, is_removed)
+  local chunks, last, count = transfer.chunks, #transfer, 1
   for i = 2, last do
-    local key, data = message[i], chunks[i - 1]
-    message[i], chunks[i - 1] = nil, nil
+    local key, data = transfer[i], chunks[i - 1]
+    transfer[i], chunks[i - 1] = nil, nil
     if is_removed[last - i] then
       chunks.received = chunks.received - #data
     else
       count = count + 1
-      message[count], chunks[count - 1] = key, data
+      transfer[count], chunks[count - 1] = key, data
     end
   end
 end
@@ -161,13 +161,13 @@ end
 -- list  the oldest first
 local function give_up(self, list, count)
   while #list > count do
-    local message, newer = table.remove(list, 1), list[1]
+    local transfer, newer = table.remove(list, 1), list[1]
     if newer then
-      message.chunks.received = message.chunks.received - newer.chunks.received
-      for i = #message, #message - #newer + 2, -1 do message[i] = nil end
+      transfer.chunks.received = transfer.chunks.received - newer.chunks.received
+      for i = #transfer, #transfer - #newer + 2, -1 do transfer[i] = nil end
       newer.older = nil
     end
-    lose(self, message)
+    lose(self, transfer)
   end
 end
 
@@ -183,16 +183,16 @@ end
 -- can have: frames that came twice, or strangers.
 -- is_taken  by distance: its frames
 -- returns   the others, by distance
-local function leave_rest(self, message, is_taken, list)
-  local chunks, rest, has_strangers, transfers = message.chunks, {}, false, self.transfers
-  for i = 2, #message do
-    local distance, key, owner = #message - i, message[i], message
+local function leave_rest(self, transfer, is_taken, list)
+  local chunks, rest, has_strangers, transfers = transfer.chunks, {}, false, self.transfers
+  for i = 2, #transfer do
+    local distance, key, owner = #transfer - i, transfer[i], transfer
     local seeming = transfers[key] -- of another slot, if a read filter dropped this frame
-    local is_kept = seeming == false or seeming and seeming.slot == message.slot
+    local is_kept = seeming == false or seeming and seeming.slot == transfer.slot
     if not is_taken[distance] then
       rest[distance], owner = true, heir_of(list, distance)
       if not owner and chunks[i - 1] == chunks[i - 2] then
-        owner = message
+        owner = transfer
         if is_kept then self.kept_anomalies[key] = DUPLICATES end
       elseif not owner then
         has_strangers = true
@@ -208,15 +208,15 @@ end
 -- list, index  the open messages, the oldest first, and which of them it is
 -- taken, padding  of can.search
 local function complete(self, list, index, taken, padding, frame)
-  local message, is_taken = table.remove(list, index), {}
-  for _, i in ipairs(taken) do is_taken[#message - 1 - i] = true end
-  remove_frames(message, leave_rest(self, message, is_taken, list))
+  local transfer, is_taken = table.remove(list, index), {}
+  for _, i in ipairs(taken) do is_taken[#transfer - 1 - i] = true end
+  remove_frames(transfer, leave_rest(self, transfer, is_taken, list))
   for i, other in ipairs(list) do
     other.is_overtaken = other.is_overtaken or i < index
     remove_frames(other, is_taken)
   end
   set_open(self, frame.slot, list)
-  return end_message(self, message, frame, padding)
+  return end_transfer(self, transfer, frame, padding)
 end
 
 -- Decide which message an End completes: the newest one with all frames since its Start, else the
@@ -224,9 +224,9 @@ end
 local function decide(self, newest, frame, padding)
   local list, fields = list_open(newest), frame.can_id
   local index, taken, zeros = #list, search(newest, fields, false)
-  for i, message in ipairs(list) do
-    if not taken and message.chunks.may_skip then
-      index, taken, zeros = i, search(message, fields, true)
+  for i, transfer in ipairs(list) do
+    if not taken and transfer.chunks.may_skip then
+      index, taken, zeros = i, search(transfer, fields, true)
     end
   end
   if taken then return complete(self, list, index, taken, zeros, frame) end
@@ -235,10 +235,10 @@ local function decide(self, newest, frame, padding)
   if count >= #list then -- no other End is to come
     give_up(self, list, 1)
     self.open[frame.slot] = nil
-    return end_message(self, newest, frame, padding)
+    return end_transfer(self, newest, frame, padding)
   end
   ends[frame.key] = true
-  for _, message in ipairs(list) do message.chunks.ends = ends end
+  for _, transfer in ipairs(list) do transfer.chunks.ends = ends end
   return "fragment", newest
 end
 
@@ -262,11 +262,11 @@ local function make_room(self, newest, frame, has_message)
 end
 
 -- Open a message beside others.
-local function add_beside(self, older, message)
-  message.older, message.chunks.may_skip, older.chunks.may_skip = older, true, true
-  local is_same = older.crc == message.crc and older.size == message.size
-  if #older == 1 and is_same and is_near(self, message.time, older.time) then
-    older.twin, message.twin = message, older -- a recorder holds their Start twice
+local function add_beside(self, older, transfer)
+  transfer.older, transfer.chunks.may_skip, older.chunks.may_skip = older, true, true
+  local is_same = older.crc == transfer.crc and older.size == transfer.size
+  if #older == 1 and is_same and is_near(self, transfer.time, older.time) then
+    older.twin, transfer.twin = transfer, older -- a recorder holds their Start twice
   end
 end
 
@@ -306,7 +306,7 @@ local function add_start(self, frame)
   if self.open[slot] then make_room(self, self.open[slot], frame, has_message) end
   check_start(self, frame, size, reserved)
   if not has_message then return "other" end
-  local message = {
+  local transfer = {
     frame.key, nil, nil, nil, nil, -- with room for the usual message of five frames
     slot = slot,
     source = frame.source,
@@ -317,20 +317,20 @@ local function add_start(self, frame)
     status = nil,
     payload = nil,
   }
-  if reserved ~= 0 then message.reserved = reserved end
-  if self.open[slot] then add_beside(self, self.open[slot], message) end
-  self.open[slot] = message
-  return "fragment", message
+  if reserved ~= 0 then transfer.reserved = reserved end
+  if self.open[slot] then add_beside(self, self.open[slot], transfer) end
+  self.open[slot] = transfer
+  return "fragment", transfer
 end
 
 -- Middles and Ends -------------------------------------------------------------------------------
 
 -- Return whether an End came twice: it equals that of the message that ended in its slot.
 local function is_repeated_end(self, frame)
-  local message = frame.can_id.ctrl == END and self.ended[frame.slot]
-  if not message or not is_near(self, frame.time, message.time) then return false end
-  local length = frame.reported - (message.padding or 0)
-  return length > 0 and frame.data:sub(1, length) == message.payload:sub(-length)
+  local transfer = frame.can_id.ctrl == END and self.ended[frame.slot]
+  if not transfer or not is_near(self, frame.time, transfer.time) then return false end
+  local length = frame.reported - (transfer.padding or 0)
+  return length > 0 and frame.data:sub(1, length) == transfer.payload:sub(-length)
 end
 
 -- Read a Middle or End of a slot without an open message.
@@ -349,21 +349,21 @@ local function add_fragment(self, frame)
   if newest.older and not is_whole then -- the CRC cannot decide any more
     give_up(self, list_open(newest), 1)
   end
-  local message = newest
+  local transfer = newest
   repeat
-    local chunks, index = message.chunks, #message
-    message[index + 1], message.time = frame.key, frame.time
+    local chunks, index = transfer.chunks, #transfer
+    transfer[index + 1], transfer.time = frame.key, frame.time
     chunks.received = chunks.received + reported
     if not chunks.is_truncated then chunks[index], chunks.is_truncated = data, not is_whole end
-    message = message.older
-  until not message
+    transfer = transfer.older
+  until not transfer
   if frame.can_id.ctrl ~= END then return "fragment", newest end
   local chunks, excess = newest.chunks, newest.chunks.received - newest.size
   local padding = can_id.padding(data, reported, reported - excess)
   local has_choice = newest.older or excess > 0 and not (padding or chunks.is_truncated)
   if has_choice then return decide(self, newest, frame, padding) end
   self.open[slot] = nil
-  return end_message(self, newest, frame, padding)
+  return end_transfer(self, newest, frame, padding)
 end
 
 -- Other frames -----------------------------------------------------------------------------------
@@ -389,7 +389,7 @@ local function add_undefined(self, frame)
   return "other"
 end
 
--- By CAN CTRL: (reassembly, frame) -> kind, message.
+-- By CAN CTRL: (reassembly, frame) -> kind, transfer.
 local ADDERS = { [0] = add_single, add_start, add_fragment, add_fragment }
 for ctrl = #ADDERS + 1, 15 do ADDERS[ctrl] = add_undefined end
 
@@ -404,12 +404,12 @@ for ctrl = #ADDERS + 1, 15 do ADDERS[ctrl] = add_undefined end
 function Reassembly:add(frame)
   local key = frame.key
   self.anomalies = false
-  local kind, message = ADDERS[frame.can_id.ctrl](self, frame)
+  local kind, transfer = ADDERS[frame.can_id.ctrl](self, frame)
   local anomalies = self.anomalies
   if not frame.is_only_pass then
     local transfers, kept = self.transfers, self.kept_anomalies
     if kind == "fragment" or kind == "last" then
-      transfers[key] = message or false
+      transfers[key] = transfer or false
     elseif transfers[key] ~= nil then -- of a packet that a read filter dropped
       transfers[key] = nil
     end
@@ -417,43 +417,43 @@ function Reassembly:add(frame)
       kept[key] = anomalies or kind == "other" and {} or nil
     end
   end
-  return kind, message, anomalies
+  return kind, transfer, anomalies
 end
 
 --- Mark that a message has a fault flag set: revisits of its fragments show it.
-function M.mark_fault(message)
-  message.has_fault = true
+function M.mark_fault(transfer)
+  transfer.has_fault = true
 end
 
 --- Recall a frame that was added before.
 -- returns  as Reassembly:add
 function Reassembly:recall(frame)
   local key = frame.key
-  local message, anomalies = self.transfers[key], self.kept_anomalies[key]
-  if message and message.slot % can_id.BUS == frame.can_id.message_key then
-    local is_last = message.payload and message[#message] == key
-    return is_last and "last" or "fragment", message, anomalies
-  elseif anomalies or message == false then
-    return message == false and "fragment" or "other", nil, anomalies
+  local transfer, anomalies = self.transfers[key], self.kept_anomalies[key]
+  if transfer and transfer.slot % can_id.BUS == frame.can_id.message_key then
+    local is_last = transfer.payload and transfer[#transfer] == key
+    return is_last and "last" or "fragment", transfer, anomalies
+  elseif anomalies or transfer == false then
+    return transfer == false and "fragment" or "other", nil, anomalies
   elseif frame.can_id.ctrl == 0 then
     return add_single(self, frame)
   end
 end
 
 --- Return the messages that the capture ends before, in the order of their Starts: a list of
--- { message, key = frame key of its latest frame }.
+-- { transfer, key = frame key of its latest frame }.
 function Reassembly:unfinished()
   local list = {}
   for _, newest in pairs(self.open) do
     local open, behind = newest, 0 -- frames of the next Start
     while open do
       if not open.is_copy then
-        list[#list + 1] = { message = open, key = open[#open - behind] }
+        list[#list + 1] = { transfer = open, key = open[#open - behind] }
       end
       open, behind = open.older, #open - 1
     end
   end
-  table.sort(list, function(a, b) return a.message[1] < b.message[1] end)
+  table.sort(list, function(a, b) return a.transfer[1] < b.transfer[1] end)
   return list
 end
 

@@ -11,22 +11,22 @@ local MAX_STEPS = 500
 
 -- Take the newest frame; return the bytes of padding, nil if it is not the rest.
 -- taken, register, needed  see take
-local function take_last(message, taken, register, needed)
-  local chunks = message.chunks
+local function take_last(transfer, taken, register, needed)
+  local chunks = transfer.chunks
   local data = chunks[#chunks]
   local padding = can_id.padding(data, #data, needed)
-  if not padding or crc.update(register, data, 1, needed) ~= message.crc then return nil end
+  if not padding or crc.update(register, data, 1, needed) ~= transfer.crc then return nil end
   taken[#taken + 1] = #chunks
   return padding
 end
 
 --- Search depth first for the frames that, with the newest one, an End, are the rest of a message.
--- message   that is open, see can.reassembly; the End is its last frame
+-- transfer  that is open, see can.reassembly; the End is its last frame
 -- fields    of the CAN ids (wire.can_id)
 -- may_skip  false if frames may be left out only where they came twice: each equals the one before
--- returns   a list of their indexes in message.chunks, and the bytes of padding; nil for none
-return function(message, fields, may_skip)
-  local chunks, taken, steps = message.chunks, {}, MAX_STEPS
+-- returns   a list of their indexes in transfer.chunks, and the bytes of padding; nil for none
+return function(transfer, fields, may_skip)
+  local chunks, taken, steps = transfer.chunks, {}, MAX_STEPS
   local ends = chunks.ends or {}
 
   -- Take frames from the index `first` on.
@@ -35,7 +35,7 @@ return function(message, fields, may_skip)
   local function take(first, register, needed, left)
     local depth, failed = #taken + 1, nil
     for i = first, #chunks - 1 do
-      local data, may_take = chunks[i], not ends[message[i + 1]]
+      local data, may_take = chunks[i], not ends[transfer[i + 1]]
       steps = steps - 1
       if steps < 0 or left < needed then return nil end
       if may_take and #data < needed and data ~= failed then
@@ -47,10 +47,10 @@ return function(message, fields, may_skip)
       if not (may_skip or data == chunks[i - 1]) then return nil end
       left = left - #data
     end
-    return take_last(message, taken, register, needed)
+    return take_last(transfer, taken, register, needed)
   end
 
-  local padding = take(1, can_id.seed(fields, message.size, message.reserved), message.size,
+  local padding = take(1, can_id.seed(fields, transfer.size, transfer.reserved), transfer.size,
     chunks.received)
   if padding then return taken, padding end
 end

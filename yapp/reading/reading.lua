@@ -278,7 +278,7 @@ end
 -- The CAN messages that the capture ends before.
 local function finish_frames(self, list)
   for _, open in ipairs(self.reassembly:unfinished()) do
-    local transfer, key, frame = open.message, open.key, records.new_can_frame()
+    local transfer, key, frame = open.transfer, open.key, records.new_can_frame()
     frame.key, frame.number, frame.time = key, number_of(key), transfer.time
     frame.source, frame.seq = transfer.source, transfer.slot % 0x100
     list[#list + 1] = records.new_result("unfinished", frame, {})
