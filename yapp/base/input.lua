@@ -24,13 +24,6 @@ function M.is_text(v)
   return type(v) == "string" and v ~= "" and utf8.is_printable(v)
 end
 
---- Raise that a number is not an integer from low to high.
--- what  its name in errors
-function M.within(what, v, low, high)
-  local is_within = type(v) == "number" and v % 1 == 0 and v >= low and v <= high
-  M.demand(is_within, "%s %s is not one of %d .. %d", what, M.shown(v), low, high)
-end
-
 --- Return a text without blanks around it.  The time grows with its length alone.
 function M.trim(text)
   local first = text:find("%S")

@@ -231,13 +231,19 @@ local function add_generated(message_type, name, text, title, unit)
   return item
 end
 
+-- Return an ID; raise that it is none.
+local function check_id(id)
+  local is_id = type(id) == "number" and id % 1 == 0 and id >= 0 and id <= input.MAX_ID
+  return demand(is_id and id, "id %s is not one of 0 .. %d", input.shown(id), input.MAX_ID)
+end
+
 -- Compile an entry and add it to the catalogue.
 -- context  the subject of errors: message, and field = ", field dc_voltage"
 local function add_message(catalogue, entry, context)
   context.message = entry.name or context.message
   demand(not input.find(catalogue.messages, entry.name), "the name is there twice")
   check(entry, "a message", MESSAGE_OPTIONS, math.huge)
-  input.within("id", entry.id, 0, input.MAX_ID)
+  local id = check_id(entry.id)
   local message_type = {
     filter = "taurus." .. entry.name,
     fields = {},
@@ -268,10 +274,10 @@ local function add_message(catalogue, entry, context)
     message_type.read = decode.new_reader(message_type) -- now: most captures have no YAPP
     return message_type.read(payload)
   end
-  local other = catalogue.by_id[entry.id]
-  demand(not other, "id 0x%X is that of message %s", entry.id, other and other.name)
+  local other = catalogue.by_id[id]
+  demand(not other, "id 0x%X is that of message %s", id, other and other.name)
   table.insert(catalogue.messages, message_type)
-  catalogue.by_id[entry.id] = message_type
+  catalogue.by_id[id] = message_type
 end
 
 --- Check a catalogue and compile it.
