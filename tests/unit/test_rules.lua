@@ -370,7 +370,7 @@ function T.test_the_nearest_limit_of_a_message()
           end
         end
         local found = judge.latest(state, frame)
-        if found then found = { text = found.rule.text, value = found.value, share = found.share } end
+        if found then found = { text = found.rule.text, value = found.value, share = found.room } end
         lu.assertEquals(found, least)
       end
     end

@@ -24,8 +24,8 @@ local KINDS = field_kinds.BY_NAME
 --   index   of the field; nil for a derived value
 --   write   function(raw) -> text; of a derived value, function(raws)
 --   absent  the text of a missing field
---   number, shape  of a compressed float: function(raw) -> its value, nil for a reserved one; and
---           its format }
+--   number, shape  of a compressed float: function(raw) -> its value, nil for a reserved one; of a
+--           derived value, function(raws) -> it, NaN for none; and its format }
 -- and end with the text `after`.
 
 -- Write the pieces one by one: a message that lacks a field, or has a reserved value.
@@ -53,7 +53,7 @@ local function new_writer(pieces)
       local index, raw = indexes[i], raws
       if index then raw = raws[index] end
       local value = raw and readers[i](raw)
-      if not value then return write_each(pieces, raws) end
+      if not value or value ~= value then return write_each(pieces, raws) end
       values[i] = value
     end
     return format(shape, unpack(values, 1, count))
@@ -216,11 +216,12 @@ end
 function M.row_writer(message_type)
   local pieces = { after = "" }
   for i, field in ipairs(fields_of(message_type)) do
+    local number = field.number or field.operator and field_kinds.reader[field]
     pieces[i] = {
       before = i > 1 and "," or "",
       index = field.index,
-      number = field.number,
-      shape = field.number and field.shape .. ",",
+      number = number,
+      shape = number and field.shape .. (field.special and "," or ""),
       write = cells_writer(field),
       absent = cells_of(field, nil),
     }

@@ -47,15 +47,15 @@ function M.new(run, statistic, options)
     latest = {}, -- by source: event of the latest message with a known past
     copies = 0, -- number of messages that were recorded once more, or several times
     originals = {}, -- [source] = frame key of the latest of them
-    -- How often a fault may be hidden, by kind of event; nil if the statistic does not say it.
-    hiding = (options.rules.fault or options.row.looks_for_faults) and {} or nil,
+    -- How often a fault may be hidden, by kind of event; false if the statistic does not say it.
+    hiding = (options.rules.fault or options.row.looks_for_faults) and {},
     unreliable = {}, -- texts: whose history is unreliable; and by source
   }, Answer)
 end
 
 -- Return whether a message of a source may have a fault: an unknown message may.
 local function may_have_faults(source)
-  return not source.type or source.type.alarms[1] ~= nil
+  return not source.type or source.type.alarms[1]
 end
 
 -- Add the text on a source with an unreliable history, once.
@@ -187,9 +187,9 @@ local function list_notes(self, ending)
   local problems = statistic.lists_problems and NOTHING or ending.problems
   local copied = copies > 0 and output.were(copies, "message") .. COPIED
   local hidden = self.hiding and hidden_faults_text(self, ending.events.states)
-  local notes = joined(problems, { reason }, { times_text(ending) }, self.undecoded:texts(),
-    unreliable, { copied or nil }, { hidden or nil }, { hint })
-  return notes, ending.problems[1] ~= nil or unreliable[1] ~= nil
+  local notes = joined(problems, { reason or false, times_text(ending) }, self.undecoded:texts(),
+    unreliable, { copied, hidden or false, hint })
+  return notes, ending.problems[1] or unreliable[1]
 end
 
 --- End: all events have come.

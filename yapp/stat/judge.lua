@@ -14,7 +14,7 @@ local NO_NUMBER = 0 / 0
 local INFINITE = math.huge
 
 -- Make the values of a source that a rule judges.  Besides the keys below it has
---   value, low, high, frame  of the latest number: its limits and its frame
+--   frame    of the latest number that has limits
 --   nearest  the number that was nearest to a limit: { value, low, high, frame, room }
 --   worst    the same of the values that break the rule: the one farthest outside
 --   stretch  of values outside in a row: since = when the first came, and those that did not yet
@@ -79,7 +79,7 @@ local function is_judged(series, numbers, at)
   end
   if not is_known then return nil end
   series.since = series.since or at
-  return span(series.since, at) >= rule.after
+  return rule.after == 0 or span(series.since, at) >= rule.after
 end
 
 -- Return the limits of a value: of `over` at a value of the other field; nil outside the points.
@@ -124,7 +124,7 @@ end
 -- Judge a number by its limits.
 local function judge(series, value, low, high, event)
   local room, nearest = math.min(value - low, high - value), series.nearest
-  series.value, series.low, series.high, series.frame = value, low, high, event.frame
+  series.frame = event.frame
   if room < 0 or not nearest or room < nearest.room then
     value = round(series.field, value)
     room = math.min(value - low, high - value)
@@ -181,14 +181,16 @@ function M.add(state, event, longest, last)
 end
 
 --- Return the number of a message that is nearest to its limit, the latest message being in this
--- frame: { rule, value, share }, where share is negative outside; nil for none.
+-- frame: { rule, value, room = in percent, see M.margin }; nil for none.
 function M.latest(state, frame)
   local nearest
   for _, series in ipairs(state) do
-    local share = series.frame == frame and M.margin(series)
-    if share and not (nearest and nearest.share <= share) then
-      local value = round(series.field, series.value)
-      nearest = { rule = series.rule, value = value, share = share }
+    if series.frame == frame then
+      local rule, numbers = series.rule, state.numbers
+      local found = { rule = rule, value = round(rule.field, numbers[rule.field]) }
+      found.low, found.high = limits_of(rule, numbers)
+      found.room = M.margin(found)
+      if found.room then nearest = nearer(nearest, found) end
     end
   end
   return nearest

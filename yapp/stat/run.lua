@@ -159,7 +159,7 @@ end
 local function explain_times(self, ending)
   if ending.lacks_times then return NO_TIMES end
   if self.packets > 1 and not self.has_progress then return EQUAL_TIMES end
-  return self.stamps:are_coarse() and COARSE_TIMES or nil
+  return self.stamps:are_coarse() and COARSE_TIMES
 end
 
 -- Add to a record how things stand, for statistics; return it.

@@ -153,7 +153,7 @@ end
 
 local function open(self)
   local options = command.options()
-  local hint = (options.Y or options.R) and HINT or nil
+  local hint = (options.Y or options.R) and HINT
   self.options, self.taps = options, {}
   self.current = run_of.new(self.settings, self.capture.stamps, hint)
   self.reading:listen(self.current)
@@ -177,7 +177,7 @@ local function is_stopped(self, packets)
   local limit = tonumber(options.c) or options.a and 0
   if not (options.r and limit) then return false end
   if in_file >= packets then return in_file > limit end -- else only its begin was looked at
-  return packets >= limit or options.R ~= nil -- a read filter leaves out some
+  return packets >= limit or options.R -- a read filter leaves out some
 end
 
 -- Return why packets of the capture were not read, nil if all were.
@@ -203,16 +203,16 @@ end
 local function finish(self)
   local failures, unread = self.calls.begun - self.calls.ended, explain_unread(self)
   local reading, capture, drop = self.reading, self.capture, self.refused
-  local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
-  local refused = drop.count > 0 and REFUSED:format(output.count(drop.count, "packet")) or nil
-  local reloaded = self.total > 0 and capture:missed_file() and RELOADED or nil
+  local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error"))
+  local refused = drop.count > 0 and REFUSED:format(output.count(drop.count, "packet"))
+  local reloaded = self.total > 0 and capture:missed_file() and RELOADED
   return self.current:finish {
     results = reading:finish(MAY_GO_ON),
     drops = joined(capture:drops(), reading:drops(), { refused and drop }),
     lacks_times = not capture:has_times(),
     extended = self.frames.refused_count,
-    problems = joined(self.settings.problems, { failed }, { unread }, { reloaded }, { refused },
-      { explain_undecoded(self) }),
+    problems = joined(self.settings.problems,
+      { failed, unread or false, reloaded, refused, explain_undecoded(self) }),
     unread = unread and "not all packets were read",
   }
 end

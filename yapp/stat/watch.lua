@@ -55,7 +55,8 @@ function M.new(options, context)
     options = options,
     context = context,
     check = check.new(options, context),
-    summary = summary.new(options, context),
+    -- A terminal shows no ranges of values, a fourth of the work.
+    summary = summary.new({ brief = not context.json }, context),
     faults = lists.new({ what = "faults" }, context),
     buses = buses.new(options, context),
     raised = {}, -- by source: event of the latest fault that was raised
@@ -105,14 +106,13 @@ local function add_faults(self, row, group)
       row.faults.text = ("(%s at %s)"):format(row.latest_fault, time.text:sub(12, 19))
     end
   end
-  return names[1] ~= nil
 end
 
 -- Add the limit that the latest values are nearest to; return whether they are outside.
 local function add_limit(self, row, group)
   local found = judge.latest(self.check.by_source[group.source].values, group.last.frame)
   if not found then return false end
-  local is_outside = found.share < 0
+  local is_outside = found.room < 0
   local shape = is_outside and "%s %.6g OUTSIDE %s" or "%s %.6g in %s"
   row.limit = shape:format(found.rule.field.name, found.value, found.rule.limit)
   return is_outside
@@ -128,8 +128,8 @@ local function row_of(self, group, ending)
   row.hz = { value = tonumber(("%.4g"):format(hz)), text = ("%.1f"):format(hz) }
   row.age = output.seconds(age)
   row.age.text = row.age.short .. (is_silent and " SILENT" or "")
-  local has_faults, is_outside = add_faults(self, row, group), add_limit(self, row, group)
-  row.is_red = is_silent or has_faults or is_outside
+  add_faults(self, row, group)
+  row.is_red = add_limit(self, row, group) or is_silent or last.faults
   return row
 end
 
