@@ -220,7 +220,7 @@ function M.open(file, report)
     base = BASES[word],
     date = 0, -- that stamps count from, in milliseconds since 1970
     began = nil, -- the date of a block until its first stamp comes
-    clock = 0, -- the last stamp; if they are relative, the sum of all
+    clock = nil, -- the last stamp; if they are relative, the sum of all
     is_relative = stamps:find("^timestamps%s+relative") ~= nil,
     decimals = 6,
   })
