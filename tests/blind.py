@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Tests the tests: runs them where nothing can be right, and says which pass all the same.
 
-    blind.py                   silent and failing: fails where ten tests or more pass
+    blind.py                   silent and failing: fails where a test passes
     blind.py empty -- ...      one way, with arguments for pytest
 
     silent   a tshark that prints nothing and exits 0
@@ -21,7 +21,6 @@ import tempfile
 import xml.etree.ElementTree as xml
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-MAX_WRONG = 9  # tests that may pass without saying why
 EXIT_CODES = {"silent": 0, "failing": 2}
 PROGRAM = """#!/bin/sh
 for one in "$@"; do case $one in -v|--version) exec %s --version ;; esac; done
@@ -63,7 +62,7 @@ def main():
         count, found = passed(way, arguments.split() or ["tests/e2e"])
         print("".join(f"  {name}\n" for name in found), end="")
         print(f"blind: {way}: {len(found)} of {count} tests pass")
-        is_bad = is_bad or len(found) > MAX_WRONG
+        is_bad = is_bad or bool(found)
     return 1 if is_bad else 0
 
 

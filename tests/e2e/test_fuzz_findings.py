@@ -9,7 +9,9 @@ import tshark
 
 sys.path.insert(0, str(tshark.ROOT / "tests"))
 fuzz = importlib.import_module("fuzz")
-FINDINGS = sorted(path for path in (tshark.CAPTURES / "fuzz").iterdir() if path.suffix != ".args")
+BY_SHARKD = levels.without_tshark("runs sharkd, which is a program of its own")
+FINDINGS = [pytest.param(path, marks=BY_SHARKD if "\nsharkd" in path.with_suffix(".args").read_text() else ())
+            for path in sorted((tshark.CAPTURES / "fuzz").iterdir()) if path.suffix != ".args"]
 
 
 @pytest.mark.parametrize("path", FINDINGS, ids=lambda path: path.stem)
