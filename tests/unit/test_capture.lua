@@ -281,7 +281,7 @@ end
 -- A read filter shifts the numbers: Wireshark's time of a packet is another than the file's.
 function T.test_the_time_tells_whether_a_number_is_still_this_packets()
   local seconds = 1700000000.25
-  for exponent, per_second in pairs { ["\6"] = 1e6, ["\3"] = 1e3, ["\0"] = 1, ["\9"] = 1e9 } do
+  for exponent, per_second in pairs { ["\6"] = 1e6, ["\3"] = 1e3, ["\0"] = 1, ["\9"] = 1e9, ["\133"] = 32 } do
     for _, number in ipairs { le, be } do
       local options = option(9, exponent, number)
       local function at(time) return math.floor(time * per_second + 0.5) end
@@ -406,6 +406,7 @@ function T.test_buses_by_fields()
   lu.assertEquals({ bus(0, 4), bus(0, 5), found:name(3) }, { 2, 3, "if0#5" })
   found = read("")
   lu.assertEquals({ bus(0, 0, 1), bus(0, 0, 2), bus(0, 0, 3) }, { 1, 2, 1 })
+  lu.assertNil(found:bus_by_fields { ["frame.interface_id"] = 0, ["frame.section_number"] = 2 })
 end
 
 -- Drops -------------------------------------------------------------------------------------------
@@ -503,16 +504,35 @@ function T.test_whether_frames_may_be_in_tcp_and_udp()
   end
 end
 
--- Whether a live capture of ours may have just begun: its interfaces may come later.
+-- Whether a live capture of ours may have just begun, which may get more interfaces; whether there may be several
+-- buses; whether packets that were not read may be of another one.  What dumpcap writes begins with all interfaces.
 function T.test_captures_that_begin()
-  local rows = {
-    { pcapng({}, {}, le), true }, { pcapng({ CAN }, {}, le), true },
-    { pcapng({ ETHERNET, 252 }, {}, be), true },
-    { pcapng({ CAN }, { { 0, "x" } }, le), false }, { pcapng({ SLL2 }, {}, be), true },
-    { pcapng({ SLL }, {}, be), true }, { pcapng({ SLL2 }, { { 0, IP_OVER_SLL2 } }, be), false },
-    { pcapng({ ETHERNET }, {}, le), false }, { pcap(CAN, {}, le), false }, { "", false },
-  }
-  for at, row in ipairs(rows) do lu.assertEquals(read(row[1]).is_live, row[2], "row " .. at) end
+  local version = le(0x1A2B3C4D, 4) .. le(1, 2) .. le(0, 2)
+  local by_dumpcap = block(SECTION, version .. ("\255"):rep(8) .. option(4, "Dumpcap", le), le)
+  for at, row in ipairs {
+    { pcapng({}, {}, le), true, true, false }, { pcapng({ CAN }, {}, le), true, true, true },
+    { pcapng({ ETHERNET, 252 }, {}, be), true, true, true },
+    { pcapng({ CAN }, { { 0, "x" } }, le), false, false, true },
+    { pcapng({ CAN, CAN }, { { 0, "x" } }, le), false, true, true }, { pcapng({ SLL2 }, {}, be), true, true, true },
+    { pcapng({ SLL }, {}, be), true, true, true },
+    { pcapng({ SLL2 }, { { 0, IP_OVER_SLL2 } }, be), false, false, true },
+    { pcapng({ ETHERNET }, {}, le), false, false, false }, { pcap(CAN, {}, le), false, false, false },
+    { pcap(SLL2, { can_over_sll2(3) }, le), false, false, true }, { "", false, false, false },
+    { by_dumpcap .. interface(CAN, le), true, false, false },
+    { by_dumpcap .. interface(CAN, le) .. interface(CAN, le), true, true, true },
+    { by_dumpcap .. interface(SLL2, le), true, true, true },
+  } do
+    local found = read(row[1])
+    lu.assertEquals({ found.is_live, found.may_be_several, found.may_add_buses }, { row[2], row[3], row[4] }, at)
+  end
+end
+
+-- Where an error frame may be among the packets.
+function T.test_which_interfaces_carry_can()
+  for linktype, is_can in pairs { [CAN] = true, [SLL] = true, [SLL2] = true, [ETHERNET] = false, [RTAC] = false,
+    [EXPORTED] = false, [147] = false } do
+    lu.assertEquals(read(pcapng({ linktype }, {}, le)).interfaces[1].is_can, is_can, linktype)
+  end
 end
 
 -- Of somebody else's file no more is read than its head.

@@ -4,6 +4,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local candump = require("yapp.file.candump")
 local levels = require("levels")
+local packet = require("yapp.file.text").packet
 local text_of = require("candump_text")
 
 local frames_of, opened, text_file = text_of.frames_of, text_of.opened, text_of.file
@@ -30,6 +31,38 @@ local function times(frames)
   local list = {}
   for i, frame in ipairs(frames) do list[i] = string.format("%d.%09d", frame.seconds, frame.nanoseconds) end
   return list
+end
+
+-- Logs of random frames, most of them in the usual form: id, data, time and bus of each.
+function T.test_random_logs()
+  math.randomseed(7)
+  for _ = 1, 50 do
+    local lines, expected, buses = {}, {}, {}
+    for i = 1, math.random(2, 20) do
+      local id = ({ math.random(0, 0x7ff), 0x80000000 + math.random(0, 0x1fffffff), 0x80000000 })[math.random(3)]
+      local digits = id < 0x800 and ("%03X"):format(id) or ("%08X"):format(id - 0x80000000)
+      local seconds, micros, bus = 1700000000 + i, math.random(0, 999999), "vcan" .. math.random(0, 2)
+      local bytes, hex = "", ""
+      for at = 1, math.random(0, 8) do
+        bytes = bytes .. string.char(math.random(0, 255))
+        hex = hex .. ("%02X"):format(bytes:byte(at))
+      end
+      local form = math.random(6)
+      if form == 1 then
+        local stamp = os.date("%Y-%m-%d %H:%M:%S", seconds)
+        lines[i] = ("(%s.%06d)  %s  %s  [%d] %s"):format(stamp, micros, bus, digits, #bytes, hex:gsub("..", " %0"))
+      else
+        local shape = form == 2 and "(%d.%06d000) %s %s#%s R" or "(%d.%06d) %s %s#%s"
+        lines[i] = shape:format(seconds, micros, bus, digits, hex)
+      end
+      if not buses[bus] then buses[bus], buses[#buses + 1] = #buses, bus end
+      expected[i] = { seconds = seconds, nanoseconds = micros * 1000, bus = buses[bus], bus_name = bus,
+        bytes = packet(buses[bus], { id = id, data = bytes }) }
+    end
+    local frames = frames_of(table.concat(lines, "\n") .. "\n")
+    for _, frame in ipairs(frames) do frame.offset = nil end
+    lu.assertEquals(frames, expected)
+  end
 end
 
 function T.test_deltas_are_added_up()
@@ -78,8 +111,9 @@ function T.test_drops()
     drop:format("1 CAN frame", "any") .. " (1700000000.500000)  can0  123   [1]  11\n" .. HEAD ..
     drop:format("4294967295 CAN frames", "can1,123:7FF") .. HEAD:gsub("01%)", "02)") ..
     "DROPCOUNT: dropped 7\n" .. drop:format("4294967295 CAN frames", "v\255")
-  local log, file = opened(text)
+  local log, file, told = opened(text)
   while log:read(file) do end
+  lu.assertStrContains(told[1], "line 3: candump lost frames: ")
   lu.assertEquals(log.drops, {
     { count = 3, bus = "can0", frame = 3, time = 1700000000.5 }, { count = 1, frame = 3, time = 1700000000.5 },
     { count = 1, frame = 3, time = 1700000000.5 }, -- a line that is too long
