@@ -224,6 +224,7 @@ local function make_statistics()
     reading = reading,
     find_options = function() return streams:undecoded_options() end,
     frames = frames,
+    headers = headers,
     counted = counted,
     calls = calls,
     watch = function()

@@ -344,8 +344,9 @@ def test_remote_frames_beside_data_of_zeros(folder):
     health = Sent(0x200, 0, 0, health_payload(1)).frames(fd=True, chunk=16)  # CAN FD has no flag for remote frames
     placed += [(BEGIN + 900_000 + at, frame) for at, frame in enumerate(health)]
     (folder / "run.pcapng").write_bytes(pcapng(sorted(placed, key=lambda one: one[0]), ("can0",)))
-    for capture, arguments in (folder / "run.pcapng", ["-q"]), (folder / "run.pcapng", ["-V"]), (CAPTURES / "can/remote_frames.pcap", ["-q"]):
-        lines = tshark.run(*arguments, "-r", capture, "-z", "yapp,events,json", "-z", "yapp,csv,-,motor", "-z", "yapp,csv,-,command", "-z",
+    runs = [(folder / "run.pcapng", how) for how in ("-q", "-V", "-2q")] + [(CAPTURES / "can/remote_frames.pcap", "-q")]
+    for capture, how in runs:
+        lines = tshark.run(how, "-r", capture, "-z", "yapp,events,json", "-z", "yapp,csv,-,motor", "-z", "yapp,csv,-,command", "-z",
                            "yapp,check,incomplete=0,crc=0,invalid=0").stdout.splitlines()
         if capture.parent == folder:
             events = [json.loads(line) for line in lines if line.startswith('{"kind"')]

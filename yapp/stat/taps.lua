@@ -49,14 +49,14 @@ Stat.__index = Stat
 --     ids           [message name] = list of the IDs that its preference has
 --     problems      list of texts: wishes of the user that were not met }
 --   wants = a show.wants, capture = a capture.capture
---   reading    a reading.reading, frames = a host.can
+--   reading    a reading.reading, frames = a host.can, headers = a host.header
 --   find_options  function() -> list of tshark's options that decode other packets, and the number
 --              of headers that these have, 0 if it is not known
 --   watch      function(), called when statistics begin
 --   counted    function(f) -> f, whose calls are counted
 --   calls      { begun, ended = numbers }: of these calls since the capture was opened }
+-- In Wireshark it also has show = function(text), which opens the window of an argument of -z.
 function M.new(parts)
-  parts.show = nil -- in Wireshark: function(text), which opens the window of an argument of -z
   parts.total = 0 -- in Wireshark: number of packets in the capture
   return setmetatable(parts, Stat)
 end
@@ -142,9 +142,9 @@ end
 -- Show all CAN frames to a stat.buses.
 -- filter  that these pass, or nil
 local function tap_frames(self, statistic, filter)
-  local passes = filter and (" && (%s)"):format(filter) or ""
+  local passes = filter and ("can.id && (%s)"):format(filter) or "can.id"
   local stamps, frames = self.capture.stamps, self.frames
-  add_tap(self, "can.id" .. passes, function(pinfo, tvb)
+  add_tap(self, passes, function(pinfo, tvb)
     local number = pinfo.number
     statistic:add_frame(source_of_bus(self, number, pinfo), stamps:even(pinfo.rel_ts), tvb:raw(),
       frames.number == number)
@@ -161,6 +161,8 @@ local function open(self)
   self.watch()
   self.wants.has_statistic = true
   socketcan.choose_order(get_preference("can.byte_swap"))
+  -- In a first pass of two no tap sees the header of a frame of zeros.
+  if options["2"] then self.headers:start() end
   self.refused = { count = 0 } -- frames that this Wireshark refuses, as of Capture:drops
   self.bus_sources = memo(function(bus) return { bus = self.capture:name(bus or nil) } end)
   tap_packets(self)
@@ -202,13 +204,13 @@ end
 -- End all statistics; return the exit code, and a list of texts to say.
 local function finish(self)
   local failures, unread = self.calls.begun - self.calls.ended, explain_unread(self)
-  local reading, capture, drop = self.reading, self.capture, self.refused
+  local capture, drop = self.capture, self.refused
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error"))
   local refused = drop.count > 0 and REFUSED:format(output.count(drop.count, "packet"))
   local reloaded = self.total > 0 and capture:missed_file() and RELOADED
   return self.current:finish {
-    results = reading:finish(MAY_GO_ON),
-    drops = joined(capture:drops(), reading:drops(), { refused and drop }),
+    results = self.reading:finish(MAY_GO_ON),
+    drops = joined(capture:drops(), self.reading:drops(), { refused and drop }),
     lacks_times = not capture:has_times(),
     extended = self.frames.refused_count,
     problems = joined(self.settings.problems,
@@ -256,8 +258,10 @@ local function begin_statistic(self, text, context)
     local ok, problem = pcall(add_tap, self, filter, function(pinfo)
       matched[pinfo.number] = true
     end)
-    local why = ok or tostring(problem):match("is invalid %- (.*)$") or problem
-    if not ok then error(("the filter %s is not one: %s"):format(filter, why), 0) end
+    if not ok then
+      local why = tostring(problem):match("is invalid %- (.*)$") or problem
+      error(("the filter %s is not one: %s"):format(filter, why), 0)
+    end
   end
   context.dates, context.settings, context.make_folder = run.dates, self.settings, make_folder
   if row.is_live and not context.frames then add_terminal(self, options, context) end
@@ -276,10 +280,12 @@ function Stat:run(text)
   if self.is_reading then return BUSY, {} end
   self.is_reading = true
   local said, frames = {}, {}
-  local function out(chunk) said[#said + 1] = chunk end
   open(self)
   local ok, texts = pcall(function()
-    begin_statistic(self, text, { out = out, frames = frames })
+    begin_statistic(self, text, {
+      out = function(chunk) said[#said + 1] = chunk end,
+      frames = frames,
+    })
     retap_packets()
     return select(2, finish(self))
   end)
@@ -325,17 +331,17 @@ end
 --- Begin the statistic of an argument of -z.
 function Stat:begin(text)
   if self.show then return self.show(text) end
-  local function out(chunk)
-    local ok, problem = io.stdout:write(chunk)
-    if not ok then self.problem = problem end
-  end
   -- Wireshark swallows an error here, so all that can fail ends with a message and a code.
   local ok, problem = pcall(function()
     if not self.current then
       open(self)
       self.taps[1].draw = function() self:conclude() end
     end
-    begin_statistic(self, text, { out = out })
+    begin_statistic(self, text, {
+      out = function(chunk)
+        self.problem = self.problem or select(2, io.stdout:write(chunk))
+      end,
+    })
   end)
   if not ok then
     print_error(tostring(problem))
@@ -346,12 +352,11 @@ end
 --- Register the menus of Wireshark, and count the packets of a capture there, where the user may
 -- stop a statistic's reading.
 function Stat:register_menus()
-  local tap, show, on_packets = Listener.new("frame"), windows.register(self)
-  self.show = show
+  local tap = Listener.new("frame")
+  self.show, tap.draw = windows.register(self)
   function tap.packet(pinfo)
     self.total = math.max(self.total, pinfo.number)
   end
-  tap.draw = on_packets
 end
 
 return M

@@ -160,8 +160,8 @@ local function print_tables(self, title, tables)
   end
   local last = height - 1 -- the cursor is below it
   if #lines > last then lines[last] = MORE:format(#lines - last + 1) end
-  local text = table.concat(lines, "\n", 1, math.min(#lines, last))
-  self.context.out((has_list and "" or CLEAR) .. text .. "\n")
+  if not has_list then self.context.out(CLEAR) end
+  self.context.out(table.concat(lines, "\n", 1, math.min(#lines, last)) .. "\n")
 end
 
 -- Print how things stand; return whether a rule failed that no more packets can mend.
