@@ -91,6 +91,15 @@ def test_in_a_terminal():
     assert behind.startswith("1\n") and behind.count("motor_overcurrent") == 2
 
 
+def test_the_nearest_limit(tmp_path):
+    """With rules=FILE: right is outside, so its row is red, and that of the rule."""
+    (tmp_path / "rules.txt").write_text("motor.rpm_measured=..1500\nmotor.dc_voltage=-1000..1000\n")
+    screen = next(found for found in screens(in_terminal(f",rules={tmp_path}/rules.txt", (24, 150))) if row(found, "right"))
+    assert " rpm_measured 999.847 in ..1500 " in row(screen, "left")
+    assert row(screen, "right").startswith(RED) and " rpm_measured 1999.69 OUTSIDE ..1500 " in row(screen, "right")
+    assert [line.split()[:2] for line in screen if "FAILED" in line] == [[f"{RED}FAILED", "motor.rpm_measured=..1500"]]
+
+
 @pytest.mark.parametrize("size, height", [((7, 80), 7), ((0, 0), 24)], ids=["small", "serial console without a size"])
 def test_a_small_terminal_without_colour(size, height):
     written = in_terminal(",bitrate=500000", size=size, env={"NO_COLOR": "1"})
