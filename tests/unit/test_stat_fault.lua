@@ -1,8 +1,8 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The card of a fault, from events: which fault it is about, what changed before it, and what else it shows.
--- tests/e2e/test_fault.py has what departed first in random flights.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local answers = require("answers")
 local catalogue_of = require("yapp.message.catalogue")
 local dates_of = require("yapp.stat.dates")
 local fault_of = require("yapp.stat.fault")
@@ -10,7 +10,7 @@ local kinds = require("yapp.stat.kinds")
 local levels = require("levels")
 local output = require("yapp.stat.output")
 
-local T = {}
+local T = { setUp = answers.setUp, tearDown = answers.tearDown }
 
 local CATALOGUE, PROBLEMS = catalogue_of.compile {
   { name = "command", title = "Command", id = 0, size = 1, info = "{enabled}",
@@ -268,6 +268,54 @@ function T.test_random_cards()
     lu.assertEquals(found, expected, seed)
     lu.assertEquals(tonumber(text:match('"time":[%d.]+,"frame":(%d+)')), chosen and chosen.cause.frame)
   end
+end
+
+-- A planted cause before the fault, in noise: it departs at its first message, and next to nothing else is accused.
+function T.test_what_departed_first()
+  local usual = { a = { 100, 1 }, b = { 3300, 8 }, c = { 45, 0.05 }, d = { 20, 0.2 } }
+  local catalogue = catalogue_of.compile { { name = "m", title = "M", id = 0x210, size = 9, every = 0.1,
+    { "a", "float16", "A", min = 0, max = 250 }, { "b", "float16", "B", min = -60000, max = 60000 },
+    { "c", "float16", "C", min = -128, max = 128 }, { "d", "float16", "D", min = -128, max = 128 },
+    { "bits", "uint8", "Bits", group = "fault", alarm = true, flags = { { "hot", 1, "Hot" } } } } }
+  local message_type = catalogue.messages[1]
+  local source = { bus_key = 1, bus = "can0", id = 0x210, type = message_type }
+  local function noise() -- of a standard deviation of 1
+    local sum = -6
+    for _ = 1, 12 do sum = sum + math.random() end
+    return sum
+  end
+  local others = 0
+  for seed = 1, levels.size(40, 1000) do
+    math.randomseed(seed)
+    local records, lead, shape = {}, math.random(30), math.random(3)
+    if lead <= 4 then shape = 1 end -- a step; else a ramp or a pulse
+    local planted = message_type.fields[math.random(4)]
+    local step = (planted.max - planted.min) / planted.ordinary
+    local size = (math.random(2) * 2 - 3) * (15 + 10 * math.random()) * math.max(usual[planted.name][2], step)
+    for frame = 1, 150 do
+      local payload, behind = "", frame - 120 + lead
+      for i = 1, 4 do
+        local field = message_type.fields[i]
+        local middle, width = usual[field.name][1], usual[field.name][2]
+        local value = middle + width * noise()
+        local is_changed = field == planted and behind >= 0 and (shape < 3 or behind < 3)
+        if is_changed then value = value + size * (shape == 2 and behind + 1 or 1) end
+        local count = math.floor((value - field.min) / (field.max - field.min) * field.ordinary + 0.5)
+        count = math.max(0, math.min(field.ordinary, count))
+        payload = payload .. string.char(count % 256, math.floor(count / 256))
+      end
+      local bits = frame >= 120 and 1 or 0
+      local flags = { { field = message_type.fields[5], value = 1, raised = 1, cleared = 0 } }
+      records[frame] = answers.record(frame, frame / 10, { source = source, payload = payload .. string.char(bits),
+        change = frame == 120 and { flags = flags } or nil })
+    end
+    local what = math.random(2) == 1 and "fault,json" or "fault,frame=120,json"
+    local found = answers.run({ what }, records, { catalogue = catalogue }):match('"changes":(%b[])')
+    lu.assertStrContains(found, ('{"since":-%.9f,"frame":%d,"message":"m","field":"%s"'):format(lead / 10, 120 - lead,
+      planted.name))
+    others = others + select(2, found:gsub('"frame"', "")) - 1
+  end
+  lu.assertTrue(others <= levels.size(1, 20), others) -- noise, 330 values of it in each flight
 end
 
 function T.test_json()

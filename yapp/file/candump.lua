@@ -244,7 +244,7 @@ function M.open(file, report)
       return nil, { plain_bus = utf8.printable(bus), stamps_differ = log.stamps_differ }
     end
   end
-  log.read_usual = not log.has_deltas and read_usual or nil
+  log.read_usual = not log.has_deltas and read_usual
   log.decimals = head:find("%.%d%d%d%d%d%d%d%d%d%f[%D]") and 9 or 6
   return log:open(head, report)
 end

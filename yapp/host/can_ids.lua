@@ -3,10 +3,10 @@
 -- Wireshark's API.
 
 local can_id = require "yapp.wire.can_id"
+local input = require "yapp.base.input"
 
 local M = {}
 
-local MAX_ID = 2047
 -- Behind so many unknown IDs, the next ones whose first messages are more than AHEAD apart wait for
 -- Seq No 0.
 local MANY, AHEAD = 64, 15
@@ -20,7 +20,7 @@ Ids.__index = Ids
 -- proto  Proto that SocketCAN calls
 function M.new(proto)
   local dissectors = DissectorTable.get("can.extended_id")
-  for id = 0, MAX_ID do dissectors:add(id * ID + can_id.START * CTRL, proto) end
+  for id = 0, input.MAX_ID do dissectors:add(id * ID + can_id.START * CTRL, proto) end
   return setmetatable({
     proto = proto,
     dissectors = dissectors,

@@ -19,6 +19,7 @@
 
 local crc = require "yapp.wire.crc"
 local frame = require "yapp.wire.frame"
+local input = require "yapp.base.input"
 
 local M = {}
 
@@ -68,7 +69,7 @@ local function candidate_at(self, index)
   if not id then return nil end
   local known, smallest = self.size_of(id)
   local fits = not known or size <= known and size >= (smallest or known)
-  local is_plausible = fits and reserved == 0 and id <= frame.MAX_ID
+  local is_plausible = fits and reserved == 0 and id <= input.MAX_ID
   local from = self.text_from + index - 1
   return {
     from = from,

@@ -221,8 +221,8 @@ local function add_change(rows, card, messages, field, find, flag)
   local values = values_of(messages, field, flag)
   local index, from, spread = find(values, field)
   if not index then return end
-  local event, to, is_beside_0 = messages[index], values[index], true
-  if spread then is_beside_0 = abs(from) <= FACTOR * spread end
+  local event, to = messages[index], values[index]
+  local is_far_from_0 = spread and abs(from) > FACTOR * spread
   insert(rows, new_row(card, event, {
     message = event.source.type.name,
     field = field.name,
@@ -230,7 +230,7 @@ local function add_change(rows, card, messages, field, find, flag)
     unit = field.unit,
     from = shown(from, field.rounded),
     to = shown(to, field.rounded),
-    times = not is_beside_0 and shown(to / from, "%.2f") or nil,
+    times = is_far_from_0 and shown(to / from, "%.2f") or nil,
     -- Of the changes in one message, the largest comes first.
     size = spread and abs(to - from) / spread or 0,
   }))

@@ -14,9 +14,6 @@ M.SYNC = "YP"
 M.HEADER, M.CRC_SIZE = 12, 4
 M.LARGEST = M.HEADER + 65535 + M.CRC_SIZE
 
---- The highest id that a message of the document has.
-M.MAX_ID = 2047
-
 --- The fields of a header.
 -- bytes    string
 -- from     1-based index of its "YP", which is not checked
