@@ -66,7 +66,7 @@ def convert(
 ) -> list[Result]:
     """Convert captures to a data set; what is up to date is not converted again. One that fails holds nobody up.
 
-    captures: paths or patterns; out: a folder or a URL of fsspec, "s3://bucket/data"; to: "parquet", "csv", "delta",
+    captures: paths or patterns; out: a folder or a URL, "s3://bucket/data"; to: "parquet", "csv", "delta",
     "mf4" or "mcap"; jobs: captures at a time, None for a core each; scheduler: of a Dask cluster, "tcp://HOST:PORT";
     bench: the log of a thrust stand, for the one capture that it is of.
     Returns a Result for each. Raises SetupError where nothing can be done, or the cluster was lost: the same call does
@@ -171,7 +171,7 @@ def convert_one(
         check_file(capture)
         flight = flight_id(capture)
         known = None if bench else dataset.find(flight)
-        if known and all(dataset.fs.exists(f"{dataset.path}/{file}") for file in known.files):
+        if known and dataset.has(known.files):
             made = made or made_by(tshark, tshark.fields())
             if known.made_by == made:
                 if known.capture != str(capture) and not os.path.exists(known.capture):  # it was moved

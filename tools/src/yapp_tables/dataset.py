@@ -5,12 +5,13 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import fsspec
+from pyarrow import fs
 
 from .errors import SetupError, need
 from .scratch import scratch
@@ -53,25 +54,26 @@ class DataSet:
         """Find the place: a folder or URL, "data" or "s3://bucket/data", and the kind. Raises SetupError."""
         self.to = to
         try:
-            self.fs, path = fsspec.core.url_to_fs(out)
-        except (ImportError, ValueError) as error:
+            self.fs, path = fs.FileSystem.from_uri(out if "://" in out else os.path.abspath(out))
+        except (OSError, ValueError) as error:
             raise SetupError(f"{out}: {error}") from error
         self.path: str = path.rstrip("/")
-        self.is_local = isinstance(self.fs, fsspec.implementations.local.LocalFileSystem)
+        self.is_local = isinstance(self.fs, fs.LocalFileSystem)
         if not self.is_local and "/" not in self.path:
             raise SetupError(f"{out} names no folder: {out.rstrip('/')}/data")
         self.beside = self.path + NOTES
         self.notes = f"{self.beside}/{to}"
-        self.url: str = self.fs.unstrip_protocol(self.path)
+        self.url = self.path if self.is_local else out.rstrip("/")
 
     def open(self) -> None:
         """Make the folder of notes; SetupError where it cannot be written, or has results of another version."""
         try:
-            if self.fs.isfile(self.path):
+            if self.fs.get_file_info(self.path).is_file:
                 raise FileExistsError("it is a file")
-            self.fs.makedirs(f"{self.notes}/version", exist_ok=True)
+            if self.is_local:
+                Path(self.notes).mkdir(parents=True, exist_ok=True)
             # In this order: others open it at the same time, and note a flight only behind the version.
-            is_empty = not self.fs.glob(f"{self.notes}/*.json")
+            is_empty = not self._flights()
             version = (self._read("version/schema") or {}).get("version", "5 or older")
             if version != SCHEMA and is_empty:
                 self._write("version/schema", {"version": SCHEMA})
@@ -89,10 +91,17 @@ class DataSet:
         return Result(**record) if record else None
 
     def results(self) -> Iterator[Result]:
-        """Return what is known of all flights, all notes asked for at once."""
-        if paths := self.fs.glob(f"{self.notes}/*.json"):
-            notes = self.fs.cat(paths, on_error="omit")
-            yield from (Result(**json.loads(notes[path])) for path in sorted(notes))
+        """Return what is known of all flights, several notes asked for at once."""
+        with ThreadPoolExecutor() as pool:
+            yield from filter(None, pool.map(self.find, self._flights()))
+
+    def _flights(self) -> list[str]:
+        found = self.fs.get_file_info(fs.FileSelector(self.notes, allow_not_found=True))
+        return sorted(info.base_name.removesuffix(".json") for info in found if info.extension == "json")
+
+    def has(self, files: Iterable[str]) -> bool:
+        """Return whether all these files are there."""
+        return all(info.is_file for info in self.fs.get_file_info([f"{self.path}/{file}" for file in files]))
 
     def aside(self) -> AbstractContextManager[Path]:
         """A local folder to write to, of this task alone; on the file system of the data where that is local."""
@@ -114,7 +123,7 @@ class DataSet:
     def forget(self, result: Result) -> None:
         """Remove a flight."""
         self._remove(result, result.files, result.messages)
-        self.fs.rm(f"{self.notes}/{result.flight_id}.json")
+        self.fs.delete_file(f"{self.notes}/{result.flight_id}.json")
 
     def _move(self, file: Path, target: str) -> None:
         """Give a file its place at once."""
@@ -122,13 +131,13 @@ class DataSet:
             Path(target).parent.mkdir(parents=True, exist_ok=True)
             file.replace(target)
         else:
-            self.fs.put_file(str(file), target)
+            fs.copy_files(str(file), target, fs.LocalFileSystem(), self.fs)
 
     def _remove(self, result: Result, files: Iterable[str], messages: Iterable[str]) -> None:
         """Remove files, or of Delta's tables of these messages the rows of the flight."""
-        for path in (f"{self.path}/{file}" for file in files):
-            if self.fs.exists(path):
-                self.fs.rm(path)
+        for file in files:
+            if self.has([file]):
+                self.fs.delete_file(f"{self.path}/{file}")
         if self.to == "delta":
             need(f"{__package__}.delta", "delta").delete(self.url, result.flight_id, messages)
 
@@ -141,7 +150,7 @@ class DataSet:
 
     def _read(self, name: str) -> dict[str, Any] | None:
         try:
-            record: dict[str, Any] = json.loads(self.fs.cat_file(f"{self.notes}/{name}.json"))
+            record: dict[str, Any] = json.loads(self.fs.open_input_stream(f"{self.notes}/{name}.json").read())
             return record
         except (OSError, ValueError):
             return None

@@ -65,7 +65,7 @@ def _again(work: Callable[[], object]) -> None:
 
 
 def _url(url: str, message: str) -> str:
-    return f"{url.removeprefix('file://')}/message={message}"
+    return f"{url}/message={message}"
 
 
 def _is(flight: str) -> str:
