@@ -59,28 +59,29 @@ def _parser() -> argparse.ArgumentParser:
     how.add_argument("-o", dest="options", action="append", default=[], metavar="NAME:VALUE", help="a preference")
     how.add_argument("-C", dest="profile", metavar="PROFILE", help="a profile of Wireshark's")
     how.add_argument("--filter", metavar="EXPRESSION", help="a display filter: only these messages")
-    how.add_argument("--bitrate", type=_positive, metavar="500000", help="of the CAN buses: also a table of these")
     how.add_argument("--plugin", metavar="PATH", help="yapp.lua, where the plugin is not installed")
     how.add_argument("--tshark", metavar="PATH", help="the program, where it is not in PATH")
 
-    convert = commands.add_parser("convert", parents=[how], help="captures to a data set")
-    convert.add_argument("--to", choices=KINDS, default="parquet")
-    convert.add_argument("--out", required=True, metavar="FOLDER", help="or a URL, s3://bucket/folder")
+    convert = commands.add_parser("convert", parents=[how], help="write captures as a data set")
+    convert.add_argument("--to", choices=KINDS, default="parquet", help="what to write, Parquet if nothing is said")
+    convert.add_argument("--out", required=True, metavar="FOLDER", help="of the data set; or a URL, s3://bucket/folder")
     convert.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="work on this Dask cluster")
     convert.add_argument("--jobs", type=_positive, metavar="N", help="captures at a time on this machine")
     convert.add_argument("--with", dest="bench", metavar="bench.csv", help="a thrust stand's log of this one capture")
 
-    report = commands.add_parser("report", parents=[how], help="a page of a capture")
+    report = commands.add_parser("report", parents=[how], help="write a page about a capture")
     report.add_argument("--out", metavar="PAGE.html", help="the page, without it one named as the capture")
     report.add_argument("--rules", metavar="FILE", help="rules: their ranges are limits in the pictures")
 
-    case = commands.add_parser("case", parents=[how], help="a fault for the vendor: its frames, card, page, versions")
+    case = commands.add_parser("case", parents=[how], help="pack a fault for the vendor: frames, card, page")
+    for command in (convert, report):
+        command.add_argument("--bitrate", type=_positive, metavar="500000", help="of the CAN buses: shows their load")
     for command in (report, case):
-        command.add_argument("capture", metavar="CAPTURE")
+        command.add_argument("capture", metavar="CAPTURE", help="the file")
     case.add_argument("number", metavar="N", nargs="?", type=_positive, default=1, help="of the fault, 1 for the first")
     case.add_argument("--out", metavar="case.zip", required=True, help="the zip")
 
-    diff = commands.add_parser("diff", parents=[how], help="two runs compared: what got worse, better, or is another")
+    diff = commands.add_parser("diff", parents=[how], help="compare two runs: what got worse, better, or changed")
     diff.add_argument("before", metavar="BEFORE", help="a capture, a folder of them, or a pattern in quotes")
     diff.add_argument("after", metavar="AFTER", help="the same")
     diff.add_argument("--rules", metavar="FILE", help="rules that are judged on both, too")
@@ -88,23 +89,23 @@ def _parser() -> argparse.ArgumentParser:
     diff.add_argument("--json", action="store_true", help="one JSON object a line instead of sentences")
     diff.add_argument("--out", metavar="PAGE.html", help="write a page with both, bins side by side")
 
-    trend = commands.add_parser("trend", help="what drifts over the flights of a data set, of each controller")
+    trend = commands.add_parser("trend", help="find what drifts over the flights of a data set")
     trend.add_argument("data", metavar="DATA", help="the folder of convert --to parquet")
     trend.add_argument("--json", action="store_true", help="one JSON object a line, for each value of each controller")
     trend.add_argument("--out", metavar="PAGE.html", help="write a page with a small picture a value")
 
-    learn = commands.add_parser("baseline", parents=[how], help="good flights to rules for -z yapp,check")
+    learn = commands.add_parser("baseline", parents=[how], help="learn rules for -z yapp,check from good flights")
     learn.add_argument("--out", required=True, metavar="flight.rules", help="the file of rules")
     for command in (convert, learn):
         command.add_argument("captures", nargs="+", metavar="CAPTURE", help=CAPTURES)
 
-    commands.add_parser("install", help="the plugin, live ports and profile into Wireshark")
-    commands.add_parser("check", help="what is installed in Wireshark, and what is wrong with it")
-    uninstall = commands.add_parser("uninstall", help="what was installed out of Wireshark")
-    uninstall.add_argument("--purge", action="store_true", help="what you changed, too")
+    commands.add_parser("install", help="put the plugin, live ports and profile into Wireshark")
+    commands.add_parser("check", help="say what is installed in Wireshark, and what is wrong")
+    uninstall = commands.add_parser("uninstall", help="remove from Wireshark what was installed")
+    uninstall.add_argument("--purge", action="store_true", help="remove what you changed, too")
     for name, command in commands.choices.items():
         command.set_defaults(run=RUN.get(name, _install), what=name)
-        lines = "\n".join(f"  yapp-tables {name} {example}" for example in EXAMPLES[name])
+        lines = "\n".join(f"  yapp-tables {name} {example}".rstrip() for example in EXAMPLES[name])
         command.epilog, command.formatter_class = f"examples:\n{lines}", argparse.RawDescriptionHelpFormatter
     return parser
 
@@ -135,7 +136,8 @@ def _install(given: argparse.Namespace) -> int:
 
 
 def _tshark(given: argparse.Namespace) -> Tshark:
-    return Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile, given.bitrate)
+    bitrate = getattr(given, "bitrate", None)
+    return Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile, bitrate)
 
 
 class _NoPandas(MetaPathFinder):
