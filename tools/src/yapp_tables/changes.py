@@ -201,8 +201,8 @@ def comparable(values: Array, good: Array, unit: str) -> tuple[Array, Array]:
 # ---- a delay, then a response of first order, at 100 steps a second
 
 STEP = 0.01  # seconds
-LAG = 0.02  # seconds between two delays
-LAGS = np.arange(-0.2, 1.2, LAG)  # of the delay
+LAG = 0.005  # seconds between two delays: over 0.02 the squares are no parabola
+LAGS, COARSE = np.arange(-0.2, 1.2, LAG), 12  # of the delay; a step between those that are tried first
 # Seconds of the response's time constant.
 SHAPES = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.17, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
 
@@ -250,6 +250,12 @@ class Following:
         """Return the squared distance from what is predicted with this delay, (n)."""
         return np.asarray((self.measured - np.interp(self.times - lag, self.grid, self.predicted[shape])) ** 2)
 
+    def least(self, shape: int) -> float:
+        """Return the sum of squares at the best delay: of some, then of all around the best of these."""
+        near = COARSE * int(np.argmin([self.squares(shape, lag).sum() for lag in LAGS[::COARSE]]))
+        around = LAGS[max(near - COARSE, 0) : near + COARSE + 1]
+        return min(float(self.squares(shape, lag).sum()) for lag in around)
+
 
 def responses(runs: Sequence[Following]) -> list[tuple[float, float, int]]:
     """Return of each run how many seconds a value is behind its command, the error of that, and the number of blocks.
@@ -257,9 +263,7 @@ def responses(runs: Sequence[Following]) -> list[tuple[float, float, int]]:
     All runs have one shape of the response, each has its own delay: those of the least squares. The error is that of
     the jackknife: each block is left out once.
     """
-    shapes = range(len(SHAPES))
-    sums = [sum(min(run.squares(each, lag).sum() for lag in LAGS[::3]) for run in runs) for each in shapes]
-    shape, found = int(np.argmin(sums)), []
+    shape, found = int(np.argmin([sum(run.least(each) for run in runs) for each in range(len(SHAPES))])), []
     for run in runs:
         block = np.unique(np.floor(run.times / (2 * BLOCK)), return_inverse=True)[1]
         curves = np.stack([np.bincount(block, run.squares(shape, lag)) for lag in LAGS], axis=1)
