@@ -53,14 +53,15 @@ class DataSet:
     def __init__(self, out: str, to: str) -> None:
         """Find the place: a folder or URL, "data" or "s3://bucket/data", and the kind. Raises SetupError."""
         self.to = to
+        scheme, _, place = out.rstrip("/").partition("://")
+        if place and scheme != "file" and "/" not in place:
+            raise SetupError(f"{out} names no folder: {scheme}://{place}/data")
         try:
             self.fs, path = fs.FileSystem.from_uri(out if "://" in out else os.path.abspath(out))
         except (OSError, ValueError) as error:
             raise SetupError(f"{out}: {error}") from error
         self.path: str = path.rstrip("/")
         self.is_local = isinstance(self.fs, fs.LocalFileSystem)
-        if not self.is_local and "/" not in self.path:
-            raise SetupError(f"{out} names no folder: {out.rstrip('/')}/data")
         self.beside = self.path + NOTES
         self.notes = f"{self.beside}/{to}"
         self.url = self.path if self.is_local else out.rstrip("/")
