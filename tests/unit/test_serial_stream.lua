@@ -41,7 +41,7 @@ local function line_of(packet)
   local key = ("%s %s %s %s %s"):format(packet.stream, packet.is_datagram, packet.is_complete, packet.is_tcp,
     packet.is_found)
   lines[key] = lines[key] or { bus = packet.bus, is_datagram = packet.is_datagram, is_complete = packet.is_complete,
-    is_tcp = packet.is_tcp, conversation = { is_found = packet.is_found } }
+    is_tcp = packet.is_tcp }
   return lines[key]
 end
 
@@ -213,7 +213,7 @@ for id = 1, 9 do MESSAGE[id] = generator.frame(id, "x") end
 local ALL = table.concat(MESSAGE)
 
 -- A row { key, first byte, last byte, says } of ALL as a segment.
-local LINE = { is_tcp = true, bus = "eth0", conversation = {} }
+local LINE = { is_tcp = true, bus = "eth0" }
 local function segments(rows, first_seq)
   local self = new()
   for i, row in ipairs(rows) do

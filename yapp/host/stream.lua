@@ -71,6 +71,9 @@ function Dissector:reset()
   self.addresses = addresses.new()
   self.number = 0 -- of the latest packet that is YAPP's, or an error that quotes one
   self.undecoded = {} -- { [option that decodes them] = number of headers }
+  self.found = {} -- [conversation] = true if it was found by content
+  self.latest = {} -- [line] = its latest bytes, while no header came
+  self.is_shown = {} -- [line of TCP] = true if its segments are shown when TCP has shown them
 end
 
 --- Look for YAPP in TCP and USB from now on.
@@ -93,9 +96,9 @@ local function line_of(self, pinfo, kind)
 end
 
 -- Return whether a packet has the end of a header, which others of its line may have begun.
-local function ends_header(line, bytes)
-  local text = line.latest .. bytes
-  line.latest = text:sub(1 - frame.HEADER)
+local function ends_header(self, line, bytes)
+  local text = (self.latest[line] or "") .. bytes
+  self.latest[line] = text:sub(1 - frame.HEADER)
   return frame.find_header(text, 1) ~= nil
 end
 
@@ -117,6 +120,7 @@ end
 --   seq           of TCP, if it is known: of the first byte
 --   is_start, is_end  true if it begins or ends a TCP connection
 --   is_skipped    true if its bytes are known to be of no frame; and what this function adds:
+--   is_found      true if its conversation was found by content
 --   key, number, visited
 --   time          seconds since the first packet
 --   epoch         since 1970; of TCP, and if it is truncated
@@ -126,6 +130,7 @@ end
 local function dissect(self, packet, tvb, pinfo, tree)
   local number, visited = pinfo.number, pinfo.visited
   local wants = self.wants:ask(tree, pinfo, visited)
+  packet.is_found = self.found[packet.line.conversation]
   packet.key = number * PACKET + offset_of(tvb) + packet.start
   packet.number, packet.visited, packet.time = number, visited, pinfo.rel_ts
   packet.truncated = packet.length > #packet.bytes
@@ -143,7 +148,7 @@ end
 -- tvb      with the header of TCP
 function Dissector:dissect_segment(segment, tvb, pinfo, tree)
   local line, start = line_of(self, pinfo, lines.TCP), segment.start
-  if not line.is_shown then return end
+  if not self.is_shown[line] then return end
   segment.line, segment.is_bus_known = line, true
   segment.bytes = tvb:len() > start and tvb:raw(start) or ""
   segment.length = tvb:reported_len() - start
@@ -163,7 +168,7 @@ function Dissector:dissect(tvb, pinfo, tree)
   local is_skipped = kind == lines.SKIPPED
   local line, is_bus_known = line_of(self, pinfo, is_skipped and lines.UDP or kind)
   if line.is_tcp then
-    line.is_shown = true
+    self.is_shown[line] = true
     if self.tcp:read(pinfo.number) then return size end
     self.tcp:start() -- from the next segment on headers are read
   end
@@ -183,10 +188,10 @@ function Dissector:dissect_usb(kind, tvb, pinfo, tree)
   local packet = length_of(tvb) > 0 and self.usb:read_packet(kind, raw_of(tvb))
   if not packet or packet.bytes == "" then return end
   local line = self.reading.lines:of_adapter(packet.name, packet.device)
-  local conversation = line.conversation
+  local found, conversation = self.found, line.conversation
   -- At 115,200 baud adapters hand on 11 bytes a millisecond, less than a header.
-  conversation.is_found = conversation.is_found or ends_header(line, packet.bytes)
-  if not conversation.is_found then return end
+  found[conversation] = found[conversation] or ends_header(self, line, packet.bytes)
+  if not found[conversation] then return end
   packet.line, packet.is_bus_known = line, true
   dissect(self, packet, tvb, pinfo, tree)
 end
@@ -209,8 +214,8 @@ function Dissector:accepts(tvb, pinfo)
   local is_found = frame.find_header(bytes, 1) ~= nil
   if not is_found and (pinfo.visited or #bytes >= CUT_HEADER) then return false end
   local line = line_of(self, pinfo, pinfo.port_type)
-  line.conversation.is_found = line.conversation.is_found or is_found
-  if not is_found and ends_header(line, bytes) then count_undecoded(self, pinfo, 1) end
+  if is_found then self.found[line.conversation] = true end
+  if not is_found and ends_header(self, line, bytes) then count_undecoded(self, pinfo, 1) end
   return is_found
 end
 

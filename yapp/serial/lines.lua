@@ -46,9 +46,7 @@ local function new_line(bus)
     is_tcp = false,
     is_datagram = false, -- of UDP
     is_complete = false, -- true if each packet is complete in itself: of a raw dump
-    conversation = { is_found = false }, -- of both directions: true if it was found by content
-    latest = "", -- its latest bytes, while no header came
-    is_shown = false, -- of TCP: true if its segments are shown when TCP has shown them
+    conversation = {}, -- one table for both directions
     sources = {}, -- [ID] = a source; [false] = that of bytes of no frame
   }
 end

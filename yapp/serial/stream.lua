@@ -198,8 +198,8 @@ end
 -- Return whether a datagram of a conversation that was found by content is of others: it holds no
 -- frame and begins none.  No bytes waited for it.
 local function is_of_others(stream, packet, findings)
-  local line, pending = packet.line, stream.framer:pending()
-  if not (line.is_datagram and line.conversation.is_found) then return false end
+  local pending = stream.framer:pending()
+  if not (packet.line.is_datagram and packet.is_found) then return false end
   for _, finding in ipairs(findings) do
     if finding.status ~= "skipped" then return false end
   end
@@ -233,6 +233,7 @@ end
 --   bytes        string: those that were captured
 --   truncated    true if the packet had more
 --   line         of serial.lines
+--   is_found     true if its conversation was found by content
 --   seq          of TCP, if it is known: sequence number of the first byte
 --   is_start, is_end  true if the segment begins or ends its connection
 --   length       number of bytes that it had }
