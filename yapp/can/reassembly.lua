@@ -31,7 +31,8 @@ local can_id = require "yapp.wire.can_id"
 local number_of = require "yapp.base.frame_key".number
 local search = require "yapp.can.search"
 
-local M = {}
+local Reassembly = {}
+Reassembly.__index = Reassembly
 
 local concat = table.concat
 local END = can_id.END
@@ -41,13 +42,10 @@ local MAX_DISTANCE = 0.02 -- seconds between a frame and its copy, as of reading
 
 local DUPLICATES = { { expert = "fragment.duplicate" } }
 
-local Reassembly = {}
-Reassembly.__index = Reassembly
-
 --- Make the reassembly of one capture.
 -- capture     a capture.capture, asked whether a time is real
 -- on_unknown  function(id, seq), called at each Start of an ID that has no message type
-function M.new(capture, on_unknown)
+function Reassembly.new(capture, on_unknown)
   return setmetatable({
     capture = capture,
     on_unknown = on_unknown,
@@ -421,7 +419,7 @@ function Reassembly:add(frame)
 end
 
 --- Mark that a message has a fault flag set: revisits of its fragments show it.
-function M.mark_fault(transfer)
+function Reassembly.mark_fault(transfer)
   transfer.has_fault = true
 end
 
@@ -457,4 +455,4 @@ function Reassembly:unfinished()
   return list
 end
 
-return M
+return Reassembly

@@ -13,16 +13,14 @@ local stamps_of = require "yapp.capture.stamps"
 local file_readers = require "yapp.file.readers"
 local files = require "yapp.capture.file"
 
-local M = {}
+local Capture = {}
+Capture.__index = Capture
 
 local read_fields = fields_of(files.FIELDS)
 local IS_TSHARK = not gui_enabled()
 local IS_WINDOWS = package.config:sub(1, 1) == "\\"
 local TOO_FAR = 2 ^ 62 -- offset that no file has
 local SAME_TIME = 2e-6 -- seconds
-
-local Capture = {}
-Capture.__index = Capture
 
 -- The path of the file that tshark reads, "" where the system does not tell it.
 local function path_of_file()
@@ -64,7 +62,7 @@ local function read_file(file)
 end
 
 --- Look at the head of each file from now on.  Call it once.
-function M.watch()
+function Capture.watch()
   local seen = files.read("", function() end)
   seen.needs_fields = not IS_TSHARK -- see missed_file
   local self = setmetatable({ seen = seen, stamps = stamps_of.new() }, Capture)
@@ -215,4 +213,4 @@ function Capture:name(bus)
   return self.names[bus or 0] or self.found:name(bus)
 end
 
-return M
+return Capture

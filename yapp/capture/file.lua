@@ -9,12 +9,13 @@
 local frame = require "yapp.wire.frame"
 local utf8 = require "yapp.base.utf8"
 
-local M = {}
+local File = {}
+File.__index = File
 
 local byte, find, floor, max, sub = string.byte, string.find, math.floor, math.max, string.sub
 
 --- How many bytes of a pipe may be read: Wireshark can rewind so many.
-M.HEAD = 65536
+File.HEAD = 65536
 local MAX_SECTION = 1024 -- bytes of the first block that name the program
 local CHUNK = 1048576 -- bytes that are read at once, and the most that are read of a block
 local SAME_TIME = 2e-6 -- seconds between the file's stamp and Wireshark's for the same packet
@@ -116,9 +117,6 @@ local LINKS = {
 for linktype = 147, 162 do -- DLT_USER 0 .. 15
   LINKS[linktype] = { index_of = index_by_flags, option = "-o yapp.user_dlt:" .. linktype }
 end
-
-local File = {}
-File.__index = File
 
 -- Return the number of a bus, which may be new.
 -- index  in its interface; 0 if it is the only one
@@ -372,7 +370,7 @@ end
 
 --- Read the buses of a file.  Of a file without YAPP only the first bytes are read, unless a
 -- statistic asks.
--- head  its first bytes, M.HEAD at most
+-- head  its first bytes, File.HEAD at most
 -- more  function(skip, count) -> the next bytes behind so many that are skipped, at most `count`;
 --       nil at the end, and where a pipe must be left alone
 -- reads_all  true to read a file without YAPP, too
@@ -381,7 +379,7 @@ end
 --   may_be_several   true if a short file has several, or may get another one
 --   may_add_buses    true if packets that were not read may be of another bus
 --   may_have_frames  true if its head may have frames, or it has no packets yet
-function M.read(head, more, reads_all)
+function File.read(head, more, reads_all)
   local magic, has_frame = sub(head, 1, 4), has_header(head)
   local format = FORMATS[magic]
   local self = setmetatable({
@@ -413,7 +411,7 @@ function M.read(head, more, reads_all)
   local window = setmetatable({ text = head, start = 0, stop = #head, is_little = true }, Window)
   function window.more(skip, count)
     if self.may_carry_yapp or has_frame or reads_all then return more(skip, count) end
-    self.is_unknown = #head >= M.HEAD
+    self.is_unknown = #head >= File.HEAD
   end
   if format then format[1](self, window, format[2], format[3]) end
   conclude(self, head, has_frame)
@@ -447,7 +445,7 @@ function File:bus_finder(compares_times, later)
 end
 
 --- Wireshark's fields that tell the bus of a packet; its number shows whether any can be seen.
-M.FIELDS = "frame.number frame.interface_id frame.interface_name frame.section_number " ..
+File.FIELDS = "frame.number frame.interface_id frame.interface_name frame.section_number " ..
   "frame.packet_flags_direction sll.ifindex rtacser.eventtype"
 
 -- Return the interface of a packet that was not read.
@@ -461,7 +459,7 @@ end
 
 --- Return the bus of a packet that was not read, nil where its fields do not tell it: in a later
 -- section interfaces are numbered anew.
--- fields  values of M.FIELDS, by name
+-- fields  values of File.FIELDS, by name
 function File:bus_by_fields(fields)
   local index, event = fields["sll.ifindex"], fields["rtacser.eventtype"]
   if not (fields["frame.interface_id"] or index or event) then return nil end
@@ -493,4 +491,4 @@ function File:name(bus)
   return self.is_live and one.index ~= 0 and bus_name(self, one) or one.interface.name
 end
 
-return M
+return File

@@ -8,7 +8,8 @@
 --
 -- Behind a gap of over 10 s, the first message with a clock tells whether the clock was set.
 
-local M = {}
+local Stamps = {}
+Stamps.__index = Stamps
 
 local MIN_SET = 10 -- seconds
 local MAX_WAIT = 2 -- seconds behind a gap, for a message with a clock
@@ -17,11 +18,8 @@ local MAX_ADVANCE = 1 -- seconds between messages with one stamp; other controll
 -- messages together if a segment came late.
 local MIN_SHARE = 100
 
-local Stamps = {}
-Stamps.__index = Stamps
-
 --- Make the stamps of captures.
-function M.new()
+function Stamps.new()
   local self = setmetatable({}, Stamps)
   self:reset()
   return self
@@ -88,4 +86,4 @@ function Stamps:add(time, key, before, advance)
   return not gap and even or nil
 end
 
-return M
+return Stamps

@@ -1,7 +1,8 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- A raw serial dump as packets: the file of `cat /dev/ttyUSB0 > run.yapp`.  Pure Lua.
 
-local M = {}
+local Dump = {}
+Dump.__index = Dump
 
 local CHUNK = 65536
 local MAX_AHEAD = 1048576 -- bytes to search for a time stamp; they are kept
@@ -19,9 +20,6 @@ local FRAME, SKIPPED = TAGS:format("\3"), TAGS:format("\5")
 -- A time is a number of nanoseconds, exact up to 2^53: a controller that runs for 104 days.
 local SECOND = 1e9
 local MAX_STEP = 1 * SECOND
-
-local Dump = {}
-Dump.__index = Dump
 
 -- Read more bytes, and append their findings.
 function Dump:fill(file)
@@ -62,7 +60,7 @@ end
 --            stamp, nil for none }
 -- head     string: the first bytes, if they have been read
 -- returns  a log with read and seek_read; nil for a file that holds no good frame
-function M.open(file, options, head)
+function Dump.open(file, options, head)
   local self = setmetatable({
     framer = options.new_framer(),
     time_of = options.time_of,
@@ -149,4 +147,4 @@ function Dump:seek_read(file, offset)
   return packet(record, offset, bytes)
 end
 
-return M
+return Dump

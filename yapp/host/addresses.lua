@@ -4,13 +4,11 @@
 
 local memo = require "yapp.base.memo"
 
-local M = {}
-
 local Addresses = {}
 Addresses.__index = Addresses
 
 --- Make the addresses of a capture.
-function M.new()
+function Addresses.new()
   -- Lists of { address, text = as a number }: several addresses may have one name.
   return setmetatable({ by_name = memo() }, Addresses)
 end
@@ -67,4 +65,4 @@ function Addresses:text(address)
   return text
 end
 
-return M
+return Addresses

@@ -7,7 +7,8 @@ local frame_key = require "yapp.base.frame_key"
 local records = require "yapp.reading.records"
 local socketcan = require "yapp.wire.socketcan"
 
-local M = {}
+local Dissector = {}
+Dissector.__index = Dissector
 
 local fields_of = can_id.fields
 local PACKET = frame_key.PACKET
@@ -20,14 +21,11 @@ local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported
 local ZEROS = {}
 for length = 0, 8 do ZEROS[("\0"):rep(length)] = true end
 
-local Dissector = {}
-Dissector.__index = Dissector
-
 --- Make the dissector.
 -- parts  { reading = a reading.reading, view = a show.view, wants = a show.wants,
 --          capture = a capture.capture, headers = a host.header;
 --          settings: its accepts_all is the preference yapp.all_extended }
-function M.new(parts)
+function Dissector.new(parts)
   return setmetatable(parts, Dissector)
 end
 
@@ -186,4 +184,4 @@ function Dissector:dissect_any(tvb, pinfo, tree)
   return reported
 end
 
-return M
+return Dissector

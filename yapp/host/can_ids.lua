@@ -5,20 +5,18 @@
 local can_id = require "yapp.wire.can_id"
 local input = require "yapp.base.input"
 
-local M = {}
+local Ids = {}
+Ids.__index = Ids
 
 -- Behind so many unknown IDs, the next ones whose first messages are more than AHEAD apart wait for
 -- Seq No 0.
 local MANY, AHEAD = 64, 15
 local ID, CTRL = 2 ^ 18, 2 ^ 14 -- one more of these in a CAN id
 
-local Ids = {}
-Ids.__index = Ids
-
 --- Make the ids.  The Starts with Seq No 0 of all IDs are registered: so begin unknown messages
 -- that are not numbered.
 -- proto  Proto that SocketCAN calls
-function M.new(proto)
+function Ids.new(proto)
   local dissectors = DissectorTable.get("can.extended_id")
   for id = 0, input.MAX_ID do dissectors:add(id * ID + can_id.START * CTRL, proto) end
   return setmetatable({
@@ -62,4 +60,4 @@ function Ids:register_start(id, seq)
   for ctrl = can_id.MIDDLE, can_id.END do register(self, id, ctrl, seq, seq) end
 end
 
-return M
+return Ids

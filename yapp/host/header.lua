@@ -8,7 +8,8 @@
 local fields_of = require "yapp.capture.fields"
 local wrapper = require "yapp.host.wrapper"
 
-local M = {}
+local Headers = {}
+Headers.__index = Headers
 
 local EXTENDED, MASK = 0x80000000, 0x20000000
 local HEADER = 8 -- bytes that have the id
@@ -29,14 +30,11 @@ local function read_id(tvb, _, value)
   return word >= EXTENDED and word < EXTENDED + MASK and word % MASK or nil
 end
 
-local Headers = {}
-Headers.__index = Headers
-
 local function is_true(value) return value == true or value == 1 end
 
 --- Make the reader of headers.
 -- proto  Proto for the wrapper
-function M.new(proto)
+function Headers.new(proto)
   return setmetatable({ wrapper = wrapper.new(proto, ORIGINS, read_id) }, Headers)
 end
 
@@ -68,4 +66,4 @@ function Headers:is_remote(pinfo)
   if remote ~= nil then return is_true(remote) end
 end
 
-return M
+return Headers

@@ -18,7 +18,8 @@ local lines = require "yapp.serial.lines"
 local usb = require "yapp.serial.usb"
 local wrapper = require "yapp.host.wrapper"
 
-local M = {}
+local Dissector = {}
+Dissector.__index = Dissector
 
 local PACKET = frame_key.PACKET
 local TCP_HEADER = 20
@@ -32,9 +33,6 @@ local USB_KINDS = {
 }
 -- A method that Lua has to look up in a Tvb costs more than its work.
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
-
-local Dissector = {}
-Dissector.__index = Dissector
 
 -- Read the header of a segment; nil if it is not there or if an ICMP error only quotes it.
 local function read_segment(tvb, pinfo)
@@ -54,7 +52,7 @@ end
 -- parts  { reading = a reading.reading, view = a show.view, wants = a show.wants,
 --          capture = a capture.capture; Protos for the wrappers: tcp_header, usb_header;
 --          counted = function(f) -> f, whose calls are counted }
-function M.new(parts)
+function Dissector.new(parts)
   local self, usb_entries = setmetatable(parts, Dissector), {}
   for kind in pairs(USB_KINDS) do table.insert(usb_entries, { "wtap_encap", kind }) end
   self.tcp = wrapper.new(parts.tcp_header, { { "ip.proto", 6, "tcp" } }, read_segment,
@@ -246,4 +244,4 @@ function Dissector:undecoded_options()
   return list, count
 end
 
-return M
+return Dissector

@@ -3,16 +3,14 @@
 -- themselves, and hands each packet on.  It costs a name in frame.protocols and 1 to 3 µs a packet,
 -- so it runs only where YAPP needs it.  Wireshark's API.
 
-local M = {}
+local Wrapper = {}
+Wrapper.__index = Wrapper
 
 -- A dissector of Wireshark's may throw past Lua at bytes that the capture lacks.  Each time Lua
 -- loses two of its 200 nested calls for good.  So after this many a truncated packet is handed on
 -- as if no more than the captured bytes had been sent: then the dissector raises an error of Lua's.
 local MAX_THROWN = 24
 local open = 0 -- calls for truncated packets that have not returned
-
-local Wrapper = {}
-Wrapper.__index = Wrapper
 
 --- Make a wrapper, which does nothing before Wrapper:start.
 -- proto    Proto
@@ -22,7 +20,7 @@ Wrapper.__index = Wrapper
 -- before   function(tvb, pinfo, value) -> what the header says, nil for nothing
 -- after    function(header, tvb, pinfo, tree), called once the packet is shown, if `before` had
 --          something to say; or nil
-function M.new(proto, entries, before, after)
+function Wrapper.new(proto, entries, before, after)
   return setmetatable({
     proto = proto,
     entries = entries,
@@ -79,4 +77,4 @@ function Wrapper:read(number)
   return self.number == number, self.header
 end
 
-return M
+return Wrapper

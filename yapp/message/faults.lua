@@ -5,13 +5,11 @@ local band = require "yapp.base.bits".band
 local last_until = require "yapp.base.frame_key".last_until
 local memo = require "yapp.base.memo"
 
-local M = {}
-
 local Faults = {}
 Faults.__index = Faults
 
 --- Make the faults of a source: none is set.
-function M.new()
+function Faults.new()
   return setmetatable({
     set = {}, -- list of the faults that are set, as they rose; a new one for each change
     incident = nil, -- see Faults:update
@@ -98,4 +96,4 @@ function Faults:state(key, time)
   return active_time, keys[is_change and last - 1 or last], keys[last + 1]
 end
 
-return M
+return Faults

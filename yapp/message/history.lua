@@ -13,7 +13,8 @@ local faults_of = require "yapp.message.faults"
 local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
 
-local M = {}
+local History = {}
+History.__index = History
 
 local huge, insert = math.huge, table.insert
 
@@ -33,15 +34,12 @@ local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
 local NO_TYPE = { flag_fields = {} }
 local UNRELIABLE = { unreliable = true } -- of many messages: to be read only
 
-local History = {}
-History.__index = History
-
 --- Make the history of one pass over one capture.
 -- messages  the message types
 -- capture   a capture.capture, asked whether the capture has times and a clock; and its stamps, a
 --           capture.stamps
 -- late      periods of a message that a gap must exceed to be late
-function M.new(messages, capture, late)
+function History.new(messages, capture, late)
   local self = setmetatable({
     capture = capture,
     stamps = capture.stamps,
@@ -114,14 +112,14 @@ end
 --- Return the controller's clock in nanoseconds, exact up to 104 days (2^53 ns); nil for a message
 -- without one.
 -- message  or its event
-function M.clock_of(message)
+function History.clock_of(message)
   local field = message.raws and message.source.type.time
   local raw = field and message.raws[field.index]
   if not raw then return nil end
   local seconds, nanoseconds = binary.time(raw)
   return seconds * 1e9 + nanoseconds
 end
-local clock_of = M.clock_of
+local clock_of = History.clock_of
 
 -- Return whether a message proves that several controllers share its source.  Their clocks
 -- alternate:
@@ -383,4 +381,4 @@ function History:state(message)
   }
 end
 
-return M
+return History

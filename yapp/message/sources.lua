@@ -13,14 +13,12 @@
 local input = require "yapp.base.input"
 local memo = require "yapp.base.memo"
 
-local M = {}
+local Sources = {}
+Sources.__index = Sources
 
 local demand, trim = input.demand, input.trim
 
 local IPV4 = "%d+%.%d+%.%d+%.%d+"
-
-local Sources = {}
-Sources.__index = Sources
 
 local function parse_id(text)
   local digits = trim(text)
@@ -88,7 +86,7 @@ end
 -- catalogue  compiled
 -- returns    the sources; and a list of errors: a part that cannot be read is left out, the others
 --            hold
-function M.parse(text, catalogue)
+function Sources.parse(text, catalogue)
   local self, problems = setmetatable({
     -- The parts: a list of { bus = name or nil, id = nil for all of a bus, type = message type or
     -- nil, name = or nil }.
@@ -135,4 +133,4 @@ function Sources:names_bus(bus)
   return next(self.by_bus[bus]) ~= nil
 end
 
-return M
+return Sources

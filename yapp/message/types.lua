@@ -5,16 +5,14 @@
 local binary = require "yapp.message.binary"
 local source_names = require "yapp.message.sources"
 
-local M = {}
-
-local NONE = {}
-
 local Types = {}
 Types.__index = Types
 
+local NONE = {}
+
 --- Make the types of a catalogue, before preferences are known: file readers may ask then.
 -- catalogue  compiled
-function M.new(catalogue)
+function Types.new(catalogue)
   return setmetatable({
     messages = catalogue.messages, -- the message types
     -- See Types:use:
@@ -107,4 +105,4 @@ function Types:new_source(id, bus_key, bus, line)
   }
 end
 
-return M
+return Types

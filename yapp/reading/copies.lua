@@ -10,7 +10,8 @@
 local memo = require "yapp.base.memo"
 local number_of = require "yapp.base.frame_key".number
 
-local M = {}
+local Copies = {}
+Copies.__index = Copies
 
 local abs, min = math.abs, math.min
 local MAX_DISTANCE = 0.02 -- seconds
@@ -27,12 +28,9 @@ local function new_list(source)
   }
 end
 
-local Copies = {}
-Copies.__index = Copies
-
 --- Make the finder of one capture.
 -- capture  a capture.capture, asked whether a time is real
-function M.new(capture)
+function Copies.new(capture)
   return setmetatable({
     capture = capture,
     by_source = memo(new_list), -- [source] = its latest messages that are no copies, see new_list
@@ -85,4 +83,4 @@ function Copies:find(message, visited, is_only_pass)
   list[#list + 1] = message
 end
 
-return M
+return Copies

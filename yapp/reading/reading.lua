@@ -20,20 +20,18 @@ local reassembly = require "yapp.can.reassembly"
 local records = require "yapp.reading.records"
 local streams = require "yapp.serial.stream"
 
-local M = {}
+local Reading = {}
+Reading.__index = Reading
 
 local HEADER = require("yapp.wire.frame").HEADER
 local BUS = can_id.BUS
 local NONE = {} -- to be read only
 
-local Reading = {}
-Reading.__index = Reading
-
 --- Make the reading.
 -- types  a message.types
 -- capture  a capture.capture
 -- on_unknown  see can.reassembly
-function M.new(types, capture, on_unknown)
+function Reading.new(types, capture, on_unknown)
   return setmetatable({
     types = types,
     capture = capture,
@@ -321,4 +319,4 @@ function Reading:drops()
   return self.streams:drops()
 end
 
-return M
+return Reading

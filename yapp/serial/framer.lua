@@ -21,7 +21,8 @@ local crc = require "yapp.wire.crc"
 local frame = require "yapp.wire.frame"
 local input = require "yapp.base.input"
 
-local M = {}
+local Framer = {}
+Framer.__index = Framer
 
 local byte, sub = string.byte, string.sub
 
@@ -38,14 +39,11 @@ local MAX_WORK = 2
 
 local SYNC_REGISTER = crc.of(frame.SYNC) -- behind the first bytes of each frame
 
-local Framer = {}
-Framer.__index = Framer
-
 --- Make the framer of a stream.
 -- size_of  function(id) -> payload size of the catalogue's message, nil for an unknown ID; and
 --          its smallest size, nil if that is the same
 -- Document: "UART Stream Framing".
-function M.new(size_of)
+function Framer.new(size_of)
   return setmetatable({
     size_of = size_of,
     text = "",     -- the latest bytes
@@ -237,4 +235,4 @@ function Framer:has_open_frame()
   return self.failed[1] ~= nil or self.open and self.open.is_plausible
 end
 
-return M
+return Framer

@@ -4,19 +4,17 @@
 
 local memo = require "yapp.base.memo"
 
-local M = {}
-
--- pinfo.port_type; in a raw dump UDP and, for bytes of no frame, IPX, which carries no YAPP.
-M.TCP, M.UDP, M.SKIPPED = 2, 3, 5
--- Addresses of packets without one: of a serial line, or of a raw dump, whose packets are like UDP.
-local NO_ADDRESS = { [""] = true, NONE = true }
-
 local Lines = {}
 Lines.__index = Lines
 
+-- pinfo.port_type; in a raw dump UDP and, for bytes of no frame, IPX, which carries no YAPP.
+Lines.TCP, Lines.UDP, Lines.SKIPPED = 2, 3, 5
+-- Addresses of packets without one: of a serial line, or of a raw dump, whose packets are like UDP.
+local NO_ADDRESS = { [""] = true, NONE = true }
+
 --- Make the lines of a capture.
 -- types  a message.types, capture = a capture.capture
-function M.new(types, capture)
+function Lines.new(types, capture)
   local commands = {}
   for _, message_type in ipairs(types.messages) do commands[message_type.answers or 0] = true end
   return setmetatable({
@@ -30,8 +28,8 @@ function M.new(types, capture)
 end
 
 --- Return whether packets of a kind (pinfo.port_type) from an address are of UDP or TCP.
-function M.is_ip(kind, address)
-  return (kind == M.UDP or kind == M.TCP) and not NO_ADDRESS[address]
+function Lines.is_ip(kind, address)
+  return (kind == Lines.UDP or kind == Lines.TCP) and not NO_ADDRESS[address]
 end
 
 -- Make a line.
@@ -72,17 +70,17 @@ function Lines:of(kind, from, port, to, to_port, bus)
   local key = key_of(kind, from, port, to, to_port, bus)
   local line = self.by_key[key]
   if line then return line end
-  local is_ip = M.is_ip(kind, from)
+  local is_ip = Lines.is_ip(kind, from)
   line = new_line(is_ip and bus_of(self, from, port) or self.capture:name(bus))
   self.by_key[key] = line
   if is_ip then
     line.receiver, line.has_address = bus_of(self, to, to_port), true
-    line.is_tcp, line.is_datagram = kind == M.TCP, kind == M.UDP
+    line.is_tcp, line.is_datagram = kind == Lines.TCP, kind == Lines.UDP
     local opposite = self.by_key[key_of(kind, to, to_port, from, port, bus)]
     if opposite then line.conversation = opposite.conversation end
   else
     line.label = bus and line.bus
-    line.is_complete, self.has_serial = kind == M.UDP, true
+    line.is_complete, self.has_serial = kind == Lines.UDP, true
   end
   return line
 end
@@ -122,4 +120,4 @@ function Lines:source(line, id)
   return source
 end
 
-return M
+return Lines

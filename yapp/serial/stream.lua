@@ -18,7 +18,8 @@ local frame = require "yapp.wire.frame"
 local joined = require "yapp.base.joined"
 local memo = require "yapp.base.memo"
 
-local M = {}
+local Streams = {}
+Streams.__index = Streams
 
 local HEADER = frame.HEADER
 local MAX_HELD = 16 -- segments behind a gap
@@ -26,9 +27,6 @@ local MAX_DISTANCE = 2 ^ 20 -- a sequence number that differs by more is of a ne
 
 -- Stands for the contents of a packet of good frames alone: Streams:find reads its bytes anew.
 local PLAIN = {}
-
-local Streams = {}
-Streams.__index = Streams
 
 local function new_stream(framer)
   return {
@@ -55,7 +53,7 @@ end
 
 --- Make the streams of a capture.
 -- new_framer  function() -> a serial.framer
-function M.new(new_framer)
+function Streams.new(new_framer)
   local streams = {}
   return setmetatable({
     reader = new_framer(), -- of bytes that are complete in themselves
@@ -328,7 +326,7 @@ end
 --   id, seq, size            of the header; size = of the whole payload
 --   crc, calculated          of a bad one
 --   anomalies    list of { expert } }
-function M.new_transfer(finding, bytes)
+function Streams.new_transfer(finding, bytes)
   local status, anomalies = finding.status, {}
   local offset, length = finding.offset or 0, finding.to - finding.from
   bytes = (finding.bytes or bytes):sub(offset + 1, offset + length)
@@ -357,4 +355,4 @@ function M.new_transfer(finding, bytes)
   return transfer
 end
 
-return M
+return Streams

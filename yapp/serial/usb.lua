@@ -9,7 +9,8 @@
 
 local little_endian = require "yapp.base.little_endian"
 
-local M = {}
+local Usb = {}
+Usb.__index = Usb
 
 local byte, floor, sub = string.byte, math.floor, string.sub
 
@@ -56,11 +57,8 @@ function HEADERS.usbpcap(bytes)
   }
 end
 
-local Usb = {}
-Usb.__index = Usb
-
 --- Make the facts of a capture's devices.
-function M.new()
+function Usb.new()
   return setmetatable({
     is_plain = {}, -- by device: true if its data has no status
   }, Usb)
@@ -112,4 +110,4 @@ function Usb:read_packet(kind, bytes)
   }
 end
 
-return M
+return Usb

@@ -10,7 +10,8 @@ local number_of = require "yapp.base.frame_key".number
 local show_fields = require "yapp.show.fields"
 local text_of = require "yapp.message.text"
 
-local M = {}
+local Taurus = {}
+Taurus.__index = Taurus
 
 local add, add_le, append_text = TreeItem.add, TreeItem.add_le, TreeItem.append_text
 local referenced, set_generated = TreeItem.referenced, TreeItem.set_generated
@@ -22,13 +23,10 @@ local range_of, value_of = Tvb.range, field_kinds.value
 local NONE = {}
 local WAYS = { "raised", "cleared" }
 
-local Taurus = {}
-Taurus.__index = Taurus
-
 --- Make the view of values.
 -- taurus  Proto
 -- fields  of show.fields
-function M.new(taurus, fields)
+function Taurus.new(taurus, fields)
   return setmetatable({
     taurus = taurus,
     fields = fields,
@@ -338,4 +336,4 @@ function Taurus:show(message, view)
   return view.wants.columns and faults_text(message) or "", words or ""
 end
 
-return M
+return Taurus

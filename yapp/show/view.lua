@@ -16,7 +16,8 @@ local frame_of = require "yapp.wire.frame"
 local number_of = require "yapp.base.frame_key".number
 local show_fields = require "yapp.show.fields"
 
-local M = {}
+local View = {}
+View.__index = View
 
 local add, add_le = TreeItem.add, TreeItem.add_le
 local append_text, set_generated = TreeItem.append_text, TreeItem.set_generated
@@ -27,13 +28,10 @@ local HEADER, CRC_SIZE = frame_of.HEADER, frame_of.CRC_SIZE
 local CRC = { bad = { 0, ", CRC BAD" }, good = { 1, ", CRC good" } }
 local UNVERIFIED = { 2, ", CRC unverified" }
 
-local View = {}
-View.__index = View
-
 --- Make the view.
 -- options  { yapp = Proto; fields = of show.fields; taurus = a show.taurus; messages = of the
 --          catalogue; names = { [id] = title } }
-function M.new(options)
+function View.new(options)
   return setmetatable(options, View)
 end
 
@@ -428,4 +426,4 @@ function View:show_packet(packet, contents, wants, tvb, pinfo, tree)
   end
 end
 
-return M
+return View

@@ -2,7 +2,8 @@
 -- What Wireshark wants of a packet: which of our items it shows, filters or prints, and whether it
 -- has columns.  Wireshark's API.
 
-local M = {}
+local Wants = {}
+Wants.__index = Wants
 
 local referenced = TreeItem.referenced
 local IS_TSHARK = not gui_enabled()
@@ -14,13 +15,10 @@ local FILTERS_COLUMNS = not get_version():find("^4%.0%.")
 
 local LIST = { columns = true, shows = true } -- a packet list of Wireshark, or of later passes
 
-local Wants = {}
-Wants.__index = Wants
-
 --- Make it.
 -- messages  of the catalogue
 -- fields    of the messages, see show.fields
-function M.new(messages, fields)
+function Wants.new(messages, fields)
   local states = {}
   for _, message_type in ipairs(messages) do
     for _, filter in pairs(message_type.states) do states[#states + 1] = fields[filter] end
@@ -111,4 +109,4 @@ function Wants:ask(tree, pinfo, visited)
   return tree.hidden and ask_tree(tree) or LIST
 end
 
-return M
+return Wants

@@ -17,7 +17,8 @@ local mapped = require "yapp.base.mapped"
 local output = require "yapp.stat.output"
 local undecoded = require "yapp.stat.undecoded"
 
-local M = {}
+local Answer = {}
+Answer.__index = Answer
 
 local NOTHING = kinds.NOTHING
 local NO_LENGTHS = "%s: how long faults, gaps and silences lasted is not known"
@@ -30,13 +31,10 @@ local SHARED = "two controllers appear to send %s: from frame %d on " .. LEFT_OU
 local COPIED = " recorded twice; each counts once"
 local HIDDEN = "damaged or lost messages may hide faults: "
 
-local Answer = {}
-Answer.__index = Answer
-
 --- Make the answer of a statistic.
 -- run      a stat.run
 -- options  see Run:add
-function M.new(run, statistic, options)
+function Answer.new(run, statistic, options)
   return setmetatable({
     run = run,
     statistic = statistic,
@@ -211,4 +209,4 @@ function Answer:finish(ending)
   return code, text, has_no_notes and notes or NOTHING
 end
 
-return M
+return Answer

@@ -14,7 +14,8 @@ local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 local socketcan = require "yapp.wire.socketcan"
 
-local M = {}
+local Buses = {}
+Buses.__index = Buses
 
 local span = kinds.span
 local read_header = socketcan.read
@@ -42,7 +43,7 @@ local NAMES = mapped(REPORTS, function(report) return report.name end)
 --- Return what an error frame reports: a list of rows of REPORTS, the gravest first, and of several
 -- states only that one.
 -- packet  its bytes, from the beginning of the packet
-function M.read_error(packet)
+function Buses.read_error(packet)
   local _, class, _, _, state = read_header(packet)
   if band(class, CONTROLLER) > 0 then class = class + state * 0x10000 end
   local reports, has_state = {}, false
@@ -73,7 +74,7 @@ end
 --- Make the events of the error frames of one run.
 -- hand_on  function(event)
 -- returns  function(event), to be called for each error frame, in the order of the capture
-function M.new_errors(hand_on)
+function Buses.new_errors(hand_on)
   local known_by_source = memo(function() return { state = "warning", times = {} } end)
   return function(event)
     local known = known_by_source[event.source]
@@ -93,7 +94,7 @@ end
 --- Return the bus events within a second of a silence, a loss or a fault: "bus off at 2.110 s"; nil
 -- for none.
 -- event   of an ID or bus; bus_events = list of the `bus` events of the capture
-function M.near(event, bus_events)
+function Buses.near(event, bus_events)
   local kind = event.kind
   local is_wanted = kinds.BY_NAME[kind].hides or kind == "silence" or kind == "fault"
   local texts = mapped(event.time and is_wanted and bus_events or {}, function(one)
@@ -116,7 +117,7 @@ local function bits_of(packet)
 end
 
 --- The columns, see output.columns.
-M.COLUMNS = output.columns({
+Buses.COLUMNS = output.columns({
   "bus",
   { "frames", "integer", "data and remote frames" },
   { "rate", "number", "(frames - 1) / (last - first)", unit = "Hz" },
@@ -131,9 +132,6 @@ M.COLUMNS = output.columns({
   { "load", "number", "the mean share of `bitrate=` that frames take" },
   { "load_max", "number", "the highest within a second", title = "in 1 s" },
 }, "bus frames rate yapp others errors first last load load_max")
-
-local Buses = {}
-Buses.__index = Buses
 
 -- The row of a bus, whose other columns complete_row fills in.
 local function new_bus(source)
@@ -155,7 +153,7 @@ end
 --- Make the statistic.
 -- options  { bitrate = bits in a second, or nil }
 -- context  of output.print
-function M.new(options, context)
+function Buses.new(options, context)
   local self = setmetatable({ bitrate = options.bitrate, context = context, list = {} }, Buses)
   self.by_source = memo(new_bus, self.list)
   return self
@@ -216,7 +214,7 @@ end
 
 --- End, see stat.answer.
 function Buses:finish(ending, notes)
-  output.print(self.context, "YAPP buses: " .. #self.list, M.COLUMNS, self:rows(ending), notes)
+  output.print(self.context, "YAPP buses: " .. #self.list, Buses.COLUMNS, self:rows(ending), notes)
 end
 
-return M
+return Buses

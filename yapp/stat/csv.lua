@@ -13,10 +13,11 @@ local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 local text_of = require "yapp.message.text"
 
-local M = {}
+local Csv = {}
+Csv.__index = Csv
 
 --- The columns of its own output, see output.columns.
-M.COLUMNS = output.columns({
+Csv.COLUMNS = output.columns({
   { "file", "text", "the path of a table" },
   { "rows", "integer", "how many rows it has" },
 }, "file rows")
@@ -30,9 +31,6 @@ local COMMON = input.rows("name type unit", {
   { "seq", "integer" },
 })
 local CRC_GOOD = { { name = "crc_good", type = "bool" } }
-
-local Csv = {}
-Csv.__index = Csv
 
 -- Return the parts of a source's rows.
 local function parts_of(source)
@@ -72,7 +70,7 @@ end
 -- context  { dates = a stat.dates; settings = see stat.taps;
 --          make_folder = function(path) -> true if it is there; and the rest for output.print }
 -- It raises why a file cannot be written.
-function M.new(options, context)
+function Csv.new(options, context)
   local self = setmetatable({
     options = options,
     context = context,
@@ -115,7 +113,7 @@ function Csv:finish(_, notes)
   self.files[1]:write(inventory.describe(context.settings, list_of, options.statistics) .. "\n")
   local problem = output.close_files(self.files)
   if problem then return output.EXIT_UNDECIDED, "csv: " .. problem end
-  output.print(context, "YAPP csv: " .. output.count(#list, "table"), M.COLUMNS, list, notes)
+  output.print(context, "YAPP csv: " .. output.count(#list, "table"), Csv.COLUMNS, list, notes)
 end
 
-return M
+return Csv

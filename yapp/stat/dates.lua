@@ -1,15 +1,13 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The dates of packets: exact times since 1970.  Pure Lua, 5.2 to 5.5.
 
-local M = {}
-
-local floor, format = math.floor, string.format
-
 local Dates = {}
 Dates.__index = Dates
 
+local floor, format = math.floor, string.format
+
 --- Make the dates of a capture.  Until Dates:set_first, its first packet came in 1970.
-function M.new()
+function Dates.new()
   return setmetatable({ seconds = 0, nanoseconds = 0 }, Dates)
 end
 
@@ -45,4 +43,4 @@ function Dates:value(rel)
   return { json = self:text(rel), text = format("%s.%06d", shown, floor(nanoseconds / 1000)) }
 end
 
-return M
+return Dates

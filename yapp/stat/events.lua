@@ -16,7 +16,8 @@ local number_of = require("yapp.base.frame_key").number
 local output = require "yapp.stat.output"
 local records = require "yapp.reading.records"
 
-local M = {}
+local Events = {}
+Events.__index = Events
 
 local new_event, new_follower = kinds.new_event, kinds.new_follower
 local span, NOTHING = kinds.span, kinds.NOTHING
@@ -48,7 +49,7 @@ end
 
 --- Append the events of a result to a list.
 -- result  see reading.records
-function M.append(list, result)
+function Events.append(list, result)
   local kind, frame = result.kind, result.frame
   if result.message then
     append_message(list, frame, result.message)
@@ -67,9 +68,6 @@ function M.append(list, result)
 end
 
 -- The events of a source -------------------------------------------------------------------------
-
-local Events = {}
-Events.__index = Events
 
 -- The state of a source, or of a line.
 local function new_state(source)
@@ -92,7 +90,7 @@ end
 --- Make the events of one run over a capture.
 -- settings  see stat.taps
 -- hand_on   function(event), called for each event in the order of the capture
-function M.new(settings, hand_on)
+function Events.new(settings, hand_on)
   local states = {}
   return setmetatable({
     settings = settings,
@@ -118,7 +116,7 @@ end
 
 --- Return the event of a fault.
 -- event  of the message; what: "raised", "cleared" or "active"
-function M.fault_event(event, fault, what)
+function Events.fault_event(event, fault, what)
   local flag, active = fault.flag, nil
   if what ~= "raised" then
     local length = span(fault.time, event.at)
@@ -146,7 +144,7 @@ local function add_changes(self, event, change)
     end
   end
   for _, step in ipairs(change.faults or NOTHING) do
-    self.hand_on(M.fault_event(event, step.fault, step.is_raised and "raised" or "cleared"))
+    self.hand_on(Events.fault_event(event, step.fault, step.is_raised and "raised" or "cleared"))
   end
 end
 
@@ -255,7 +253,7 @@ local function add_undissected(self, state, event)
   end
 end
 
---- Add an event of M.append, in the order of the capture.
+--- Add an event of Events.append, in the order of the capture.
 function Events:add(event)
   local source, kind = event.source, event.kind
   if kind == "bus_errors" then return self.add_bus_error(event) end
@@ -293,4 +291,4 @@ function Events:finish(length_since, has_times)
   end
 end
 
-return M
+return Events

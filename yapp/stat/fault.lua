@@ -15,7 +15,8 @@ local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 local text_of = require "yapp.message.text"
 
-local M = {}
+local Fault = { follows_changes = true }
+Fault.__index = Fault
 
 local insert, abs = table.insert, math.abs
 local unpack = rawget(table, "unpack")
@@ -56,16 +57,13 @@ for _, section in ipairs(SECTIONS) do
   section.columns = output.columns({}, section.columns)
 end
 --- The columns, see output.columns.
-M.COLUMNS = output.columns(ROWS, "time rel frame bus id source message active",
+Fault.COLUMNS = output.columns(ROWS, "time rel frame bus id source message active",
   "rel frame who active")
-
-local Fault = { follows_changes = true }
-Fault.__index = Fault
 
 --- Make the statistic.
 -- options  { number = of the fault, or nil; frame = of a packet, or nil: the fault that is set
 --          in it, or the next one }
-function M.new(options, context)
+function Fault.new(options, context)
   return setmetatable({
     number = options.number or not options.frame and 1,
     frame = options.frame,
@@ -345,7 +343,7 @@ local function print_card(context, title, row, notes)
   for _, section in ipairs(context.json and SECTIONS or {}) do
     row[section.name] = output.objects(section.keys, row[section.name])
   end
-  output.print(context, title, M.COLUMNS, { row }, notes)
+  output.print(context, title, Fault.COLUMNS, { row }, notes)
   for _, section in ipairs(context.json and {} or SECTIONS) do
     local list = row[section.name]
     context.out(("\n%s%s\n"):format(section.title, list[1] and ":" or ": none"))
@@ -363,9 +361,9 @@ function Fault:finish(ending, notes)
     return code
   end
   local rows = context.json and { { incidents = self.count } } or {}
-  output.print(context, "YAPP fault: " .. count, M.COLUMNS, rows, notes)
+  output.print(context, "YAPP fault: " .. count, Fault.COLUMNS, rows, notes)
   if self.is_first then return code end
   return output.EXIT_UNDECIDED, MISSING:format(self.count)
 end
 
-return M
+return Fault

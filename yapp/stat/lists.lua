@@ -9,7 +9,8 @@ local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 
-local M = {}
+local Lists = { follows_changes = true }
+Lists.__index = Lists
 
 -- Kinds of events that may come often: in a window one line for each source and kind.
 local MERGED = input.set("clock missing dropped stale crc incomplete unfinished skipped invalid")
@@ -49,18 +50,15 @@ local FAULTS = output.columns({
 }, "time rel frame bus id source message field flag event active near",
   "rel frame who flag event active near")
 --- The columns of both, see output.columns.
-M.COLUMNS = { events = EVENTS, faults = FAULTS }
+Lists.COLUMNS = { events = EVENTS, faults = FAULTS }
 
 local EVENT_KEYS = "kind time frame bus id source message " -- and those of its kind
 local FAULT_KEYS = table.concat(FAULTS.json, " ", 1, #FAULTS.json - 1) -- all but NEAR
 
-local Lists = { follows_changes = true }
-Lists.__index = Lists
-
 --- Make the statistic.
 -- options  { what = "events" or "faults" }
 -- context  { dates = a stat.dates; and the rest for output.print }
-function M.new(options, context)
+function Lists.new(options, context)
   return setmetatable({
     what = options.what,
     context = context,
@@ -85,7 +83,7 @@ end
 --- Return the row of an event.
 -- near  text of the bus events near it, nil for none
 -- keys  of its line of JSON, nil for those of `events`
-function M.event_row(context, event, ending, near, keys)
+function Lists.event_row(context, event, ending, near, keys)
   local kind, time = kinds.BY_NAME[event.kind], event.time
   keys = keys or EVENT_KEYS .. (kind.keys or "")
   local row = {
@@ -107,7 +105,7 @@ end
 
 --- Return a number of faults as a text, and the exit code: where not all was read and decoded, none
 -- is known.
-function M.count_text(count, ending)
+function Lists.count_text(count, ending)
   local why = ending.unread
   if ending.unknown > 0 then
     why = ending.unknown .. " of " .. output.count(ending.sources, "source") .. " not decoded"
@@ -176,14 +174,14 @@ function Lists:finish(ending, notes)
     if context.frames and not context.json then list = merge(list) end
   else
     for _ in pairs(self.incidents) do count = count + 1 end
-    count, code = M.count_text(count, ending)
+    count, code = Lists.count_text(count, ending)
   end
   local keys = what == "faults" and FAULT_KEYS
   local rows = mapped(list, function(event)
-    return M.event_row(context, event, ending, buses.near(event, self.bus_events), keys)
+    return Lists.event_row(context, event, ending, buses.near(event, self.bus_events), keys)
   end)
-  output.print(context, ("YAPP %s: %s"):format(what, count), M.COLUMNS[what], rows, notes)
+  output.print(context, ("YAPP %s: %s"):format(what, count), Lists.COLUMNS[what], rows, notes)
   return code
 end
 
-return M
+return Lists

@@ -9,16 +9,14 @@ local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
 
-local M = {}
-
-local OTHER_CTL = " with a YAPP CTL other than 0, see yapp.all_extended"
-
 local Undecoded = {}
 Undecoded.__index = Undecoded
 
+local OTHER_CTL = " with a YAPP CTL other than 0, see yapp.all_extended"
+
 --- Make an empty list.
 -- settings  see stat.taps
-function M.new(settings)
+function Undecoded.new(settings)
   return setmetatable({
     settings = settings,
     -- Messages that were not decoded at all, an entry for each source and size: { source, likes =
@@ -84,7 +82,7 @@ end
 -- Preferences -------------------------------------------------------------------------------------
 
 --- Return IDs, which it sorts, as a preference has them: "0x210-0x213,0x300".
-function M.ranges_of(ids)
+function Undecoded.ranges_of(ids)
   local texts, first = {}, nil
   table.sort(ids)
   for i, id in ipairs(ids) do
@@ -118,7 +116,7 @@ local function advice_of(self)
   for _, message_type in ipairs(settings.catalogue.messages) do
     local ids = ids_by_type[message_type]
     if ids[1] then
-      ids = M.ranges_of(joined(ids, settings.ids[message_type.name]))
+      ids = Undecoded.ranges_of(joined(ids, settings.ids[message_type.name]))
       advice = advice .. (" -o yapp.%s_ids:%s"):format(message_type.name, ids)
     end
   end
@@ -156,4 +154,4 @@ function Undecoded:texts()
   return texts
 end
 
-return M
+return Undecoded
