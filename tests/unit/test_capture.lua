@@ -154,6 +154,8 @@ function T.test_buses()
         "1 2" },
       { pcapng({ SLL }, { { 0, CAN_OVER_SLL }, { 0, FD_OVER_SLL } }, number), "" },
       { pcapng({ SLL, SLL }, { { 0, CAN_OVER_SLL }, { 1, FD_OVER_SLL } }, number), "1 2" },
+      { section(number) .. interface(SLL2, number) .. simple_packet(can_over_sll2(5), number) ..
+        simple_packet(can_over_sll2(6), number), "1 2" },
       -- no such interface
       { pcapng({ CAN, CAN }, { { 0, "x" }, { 7, "x" }, { 1, "x" } }, number), "1 -" },
     }

@@ -278,10 +278,12 @@ local function count_packet(self)
   self.lacks_times = self.lacks_times or self.count == 1
 end
 
--- A simple block has no time.
-local function read_simple_packet(self)
+-- A simple block has a packet of the section's first interface, without a time.
+local function read_simple_packet(self, window, offset)
   count_packet(self)
   self.lacks_times = true
+  local interface = interface_at(self, 0)
+  if interface then keep_packet(self, window, interface, offset + 12, 0, 0) end
 end
 
 local BLOCKS = {
