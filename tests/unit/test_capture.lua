@@ -323,7 +323,7 @@ function T.test_names_of_interfaces()
       comment .. number(2, 2) .. number(60000, 2) .. "cut", named("can9") } do
       file = file .. interface(CAN, number, options)
     end
-    local names = { "can0", "if1", "vcan12", "m\195\188", "\\xff", "a\\x01b", "if6", "if7", "end",
+    local names = { "can0", "if1", "vcan12", "m\195\188", "\\xFF", "a\\x01b", "if6", "if7", "end",
       "if9", "can9" }
     lu.assertEquals(list_names(read(file)), names)
     for length = 0, #file do lu.assertTable(list_names(read(file:sub(1, length)))) end

@@ -118,7 +118,7 @@ function T.test_drops()
     { count = 3, bus = "can0", frame = 3, time = 1700000000.5 }, { count = 1, frame = 3, time = 1700000000.5 },
     { count = 1, frame = 3, time = 1700000000.5 }, -- a line that is too long
     { count = 4294967295, bus = "can1", frame = 5, time = 1700000000 + 2 / 1000000 },
-    { count = 7 }, { count = 4294967295, bus = "v\\xff" },
+    { count = 7 }, { count = 4294967295, bus = "v\\xFF" },
   })
   for _ = 1, 2 do log:seek_read(file, 0) end
   lu.assertEquals(#log.drops, 6)
@@ -188,7 +188,7 @@ function T.test_the_bus_of_a_plain_log()
     for _, count in ipairs { 5000, 100000 } do lu.assertEquals(plain_bus(line:rep(count)), "can0") end
     lu.assertNotNil(candump.open(text_file(line .. line:sub(1, -2) .. line))) -- a line lost its end
   end
-  lu.assertEquals(plain_bus((HEAD:gsub("can0", "v\255n"))), "v\\xffn")
+  lu.assertEquals(plain_bus((HEAD:gsub("can0", "v\255n"))), "v\\xFFn")
   lu.assertNil(plain_bus("some text\n"))
 end
 

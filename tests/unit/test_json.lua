@@ -12,7 +12,7 @@ function T.test_values()
     { 1, "1" }, { -0.5, "-0.5" }, { 0.1, "0.1" }, { 1 / 3, "0.33333333333333331" }, { 2 ^ 53 - 1, "9007199254740991" },
     { 1e300, "1e+300" }, { math.huge, "null" }, { -math.huge, "null" }, { 0 / 0, "null" },
     { 4294967295, "4294967295" }, { json.list { json.object({ "a" }, { a = 1 }) }, '[{"a":1}]' },
-    { 'a"b\\c\n\1\127', [["a\"b\\c\\x0a\\x01\\x7f"]] }, { "°C", '"°C"' }, { "\255°", [["\\xff°"]] },
+    { 'a"b\\c\n\1\127', [["a\"b\\c\\x0A\\x01\\x7F"]] }, { "°C", '"°C"' }, { "\255°", [["\\xFF°"]] },
   }
   for _, row in ipairs(expected) do lu.assertEquals(json.value(row[1]), row[2]) end
   lu.assertEquals(json.value(nil), "null")

@@ -22,12 +22,13 @@ local function first_character(bytes)
 end
 
 --- Return the text fit to be printed: control characters, and bytes that are not UTF-8, are \xNN.
-function M.printable(text)
+-- shape  of such a byte, "\\x%02X" if it is nil
+function M.printable(text, shape)
   -- A control character, or a byte beyond ASCII, and the continuation bytes behind it.
   return (text:gsub("[%c\128-\255][\128-\191]*", function(bytes)
     local character = first_character(bytes)
     return character .. bytes:sub(#character + 1):gsub(".", function(byte)
-      return ("\\x%02x"):format(byte:byte())
+      return (shape or "\\x%02X"):format(byte:byte())
     end)
   end))
 end

@@ -157,7 +157,7 @@ local KINDS = input.rows("name column filter shown read", {
   },
   { -- a text ends at its first NUL; a character that cannot be shown is \xnn
     "string", "string", "STRING", "text", read_bytes,
-    value = function(_, raw) return utf8.printable(raw:match("^%Z*")) end,
+    value = function(_, raw) return utf8.printable(raw:match("^%Z*"), "\\x%02x") end,
     is_text = true,
   },
   {
