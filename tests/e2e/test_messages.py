@@ -198,7 +198,7 @@ def test_the_page_about_messages(folder):
         done = subprocess.run(["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True,
                               timeout=tshark.TIMEOUT, **tshark._user())
         assert done.returncode == 0 and "Lua" not in done.stderr, done.stderr
-        assert done.stdout.rstrip().splitlines() == wanted, command
+        assert done.stdout.rstrip().splitlines() == wanted, f"docs/messages.md: {command}"
         ran += 1
     assert ran >= 4
 

@@ -349,4 +349,4 @@ def test_the_keys_of_the_document(folder):
     done = tshark.run("-q", "-r", tshark.ROOT / "docs/flight.pcapng", *taps, check=False)
     keys = {tuple(json.loads(line)) for line in done.stdout.splitlines()}
     found = [name for line in keys for name, first in rows.items() if line[:len(first)] == tuple(first)]
-    assert len(found) == len(keys) and set(found) == set(names), set(names) ^ set(found)
+    assert len(found) == len(keys) and set(found) == set(names), f"rows of docs/statistics.md, Keys of JSON: {set(names) ^ set(found)}"
