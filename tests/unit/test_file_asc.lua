@@ -116,6 +116,8 @@ end
 function T.test_what_is_asc()
   local frame = "0.1 1 123 Rx d 0"
   lu.assertEquals(frames(HEAD), {})
+  lu.assertEquals(frames(HEAD .. "0.1 1 1F Rx d 1 1A")[1].bytes:sub(-9), "\31\0\0\0\1\0\0\0\26")
+  lu.assertEquals(frames(HEAD:gsub("hex", "dec") .. "0.1 1 31 Rx d 1 26")[1].bytes:sub(-9), "\31\0\0\0\1\0\0\0\26")
   for _, head in ipairs { HEAD, HEAD:gsub("hex", "dec"), "base hex timestamps absolute\n", "// remark\nbase dec\n",
     "date Mon Dec 6 11:21:13 am 2021\nbase hex  no internal events logged\n// version 7.1.0\n" } do
     lu.assertEquals(#frames(head .. frame), 1, head)
@@ -145,9 +147,9 @@ function T.test_times()
   local block = "Begin Triggerblock Tue Nov 14 22:13:20.1 2023\n"
   lu.assertEquals(times(HEAD:gsub("2023", "2026") .. block .. frame), "0.501000000")
   -- CANoe's: a block that began 100 s later, with times since the date.
-  local late = "Begin Triggerblock Tue Nov 14 10:15:00.500 pm 2023\n100.5 1 123 Rx d 0\n"
-  lu.assertEquals(times(HEAD .. frame .. late .. frame), "0.501000000 100.501000000 0.501000000")
-  lu.assertEquals(times(HEAD .. late .. frame), "100.501000000 0.501000000")
+  block = "Begin Triggerblock Tue Nov 14 10:15:00.500 pm 2023\n"
+  lu.assertEquals(times(HEAD .. frame .. block .. frame), "0.501000000 0.501000000") -- behind a frame times go on
+  lu.assertEquals(times(HEAD .. block .. "100.5 1 123 Rx d 0\n" .. frame), "100.501000000 0.501000000")
 end
 
 -- A date in another language, or none: times count from the date before, or from 0, and the line is named.
