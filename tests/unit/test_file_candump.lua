@@ -97,12 +97,6 @@ function T.test_reading_again()
   assert_same_again((screen(stamps):gsub("000%.", "1700000000.")))
 end
 
-function T.test_numbers_of_buses()
-  local stamps = { "000.000000", "000.000001", "000.000002", "000.000003", "000.000004", "000.000005" }
-  local frames = frames_of(screen(stamps, { "can1", "any", "can0", "vcan1", "can1", "can12345" }))
-  lu.assertEquals(column(frames, "bus"), { 0, 1, 2, 3, 0, 4 })
-end
-
 -- candump -d says in its output, and in a log, how many frames the kernel dropped.
 function T.test_drops()
   local drop = "DROPCOUNT: dropped %s on '%s' socket (total drops 12)\n"

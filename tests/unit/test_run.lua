@@ -2,19 +2,12 @@
 -- A run over a capture: passes, filters, times, the end.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local answers = require("answers")
 local stamps_of = require("yapp.capture.stamps")
 local kinds = require("yapp.stat.kinds")
-local events_of = require("yapp.stat.events")
 local run_of = require("yapp.stat.run")
 
-local T = {}
-
--- Events stand for results here.
-local append = events_of.append
-function T.setUp()
-  function events_of.append(list, result) list[#list + 1] = result.event end
-end
-function T.tearDown() events_of.append = append end
+local T = { setUp = answers.setUp, tearDown = answers.tearDown }
 
 local SOURCE = { key = 1, id = 1, type = { alarms = {} } }
 local SETTINGS = { late = 2.5, ids = {}, catalogue = { messages = {} },

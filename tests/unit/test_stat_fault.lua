@@ -113,20 +113,6 @@ function T.test_a_card_of_a_controller_that_has_no_other_and_no_command()
     "seconds before: none\n", "The latest Command: none\n", "The other controllers: none\n")
 end
 
--- A sensor fails; the bus's latest Command is shown where the controller has none of its own, with its change.
-function T.test_a_reserved_value_and_the_command_of_the_bus()
-  local one = flight { }
-  for i = 1, 4 do
-    one.send(REAR, i, i < 4 and 1 or 0)
-    if i == 2 then one.send(FRONT, i, 0) end
-  end
-  fly(one, LEFT, 10, 255, 255)
-  one.flag(one.send(LEFT, 10, 255, 1, 0), "raised", "hot", {})
-  local text = one.finish()
-  has(text, "-6.000      5  command  enabled     1    0\n" ..
-    "-0.110    104  motor    volts    10.50  inf  V", "-6.000      5  can0 0x5  Disabled\n")
-end
-
 function T.test_there_is_no_such_fault()
   for _, options in ipairs { { number = 2 }, { frame = 2 } } do
     local one = flight(options)
