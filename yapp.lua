@@ -107,14 +107,14 @@ local make_reading
 
 -- A call that began and did not end failed: with a Lua error, which Wireshark shows in the packet
 -- alone.
-local calls = { begun = 0, ended = 0 }
+local begun, ended = 0, 0
 
 local function counted(call)
   return function(...)
-    calls.begun = calls.begun + 1
-    make_reading()
+    begun = begun + 1
+    if not streams then make_reading() end
     local result = call(...)
-    calls.ended = calls.ended + 1
+    ended = ended + 1
     return result
   end
 end
@@ -185,11 +185,9 @@ local function watch_unclaimed()
   end)
 end
 
--- The first frame makes the reading, and gives the table of ids the dissector of the others.
+-- In SocketCAN's table of ids match_uint is the CAN id.
 yapp.dissector = counted(function(tvb, pinfo, root)
-  local dissect = frames:new_table_dissector(calls)
-  yapp.dissector = dissect
-  return dissect(tvb, pinfo, root)
+  return frames:dissect(tvb, pinfo, root, pinfo.match_uint, settings.accepts_all)
 end)
 
 serial.dissector = counted(function(tvb, pinfo, root)
@@ -226,7 +224,7 @@ local function make_statistics()
     frames = frames,
     headers = headers,
     counted = counted,
-    calls = calls,
+    count_failures = function() return begun - ended end,
     watch = function()
       watch_unclaimed()
       if gui_enabled() then return end
@@ -288,13 +286,13 @@ end
 yapp.prefs_changed = read_preferences
 
 function yapp.init()
-  calls.begun, calls.ended = 1, 0
+  begun, ended = 1, 0
   capture:init()
   read_preferences()
   if stat then stat:reset() end
   if streams then reset_reading() end
   if yapp.prefs.search_all or capture.found.may_have_frames then search_streams() end
-  calls.ended = 1
+  ended = 1
 end
 
 -- Registration ------------------------------------------------------------------------------------

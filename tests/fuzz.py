@@ -101,7 +101,6 @@ def trace(path):
     text = path.read_text()
     for pattern, new, least in (
             (r"(?ms)^function (yapp\.init)\(([^)]*)\)(\n.*?)^end$", r"\1 = traced(function(\2)\3end)", 1),
-            (r"(?m)^(  local dissect = )(frames:new_table_dissector\(calls\))$", r"\1traced(\2)", 1),
             (r"(?m)^(    local result = )call\(", r"\1traced(call)(", 1),  # counted: all others, heuristics too
             (r"(?m)^(\w+\.prefs_changed = )(\w+)$", r"\1traced(\2)", 1)):
         text, count = re.subn(pattern, new, text)

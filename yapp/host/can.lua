@@ -156,18 +156,6 @@ function Dissector:resume(number, packet)
   self.reading:report_undissected(frame)
 end
 
---- Return the dissector for SocketCAN's table of ids, where match_uint is the CAN id.
--- calls  { begun, ended = numbers }, which it counts
-function Dissector:new_table_dissector(calls)
-  local settings, dissect = self.settings, self.dissect
-  return function(tvb, pinfo, tree)
-    calls.begun = calls.begun + 1
-    local length = dissect(self, tvb, pinfo, tree, pinfo.match_uint, settings.accepts_all)
-    calls.ended = calls.ended + 1
-    return length
-  end
-end
-
 --- Dissect a frame that did not come through the table of ids: the user says that it is YAPP.
 -- returns  the number of bytes that are ours, 0 for no extended data frame
 function Dissector:dissect_any(tvb, pinfo, tree)

@@ -41,7 +41,7 @@ function M.new(settings, stamps, hint)
     stamps = stamps,
     hint = hint,
     answers = {},
-    live = nil, -- a statistic that is shown while packets come, see stat.watch
+    live = false, -- a statistic that is shown while packets come, see stat.watch
     second = os.time(), -- of the wall clock, when it was shown
     dates = dates.new(), -- until a time is known, if ever, of 1970
   }, Run)

@@ -54,7 +54,7 @@ Stat.__index = Stat
 --              of headers that these have, 0 if it is not known
 --   watch      function(), called when statistics begin
 --   counted    function(f) -> f, whose calls are counted
---   calls      { begun, ended = numbers }: of these calls since the capture was opened }
+--   count_failures  function() -> how many of these calls failed since the capture was opened }
 -- In Wireshark it also has show = function(text), which opens the window of an argument of -z.
 function M.new(parts)
   parts.total = 0 -- in Wireshark: number of packets in the capture
@@ -109,15 +109,13 @@ end
 
 -- Tap all packets: ask nothing of a packet that need not be.  tshark numbers them as they come.
 local function tap_packets(self)
-  local tap, is_waiting, run = add_tap(self), IS_TSHARK, self.current
-  local calls, capture, frames, asker = self.calls, self.capture, self.frames, self.wants
+  local is_waiting, run = IS_TSHARK, self.current
+  local capture, frames, asker = self.capture, self.frames, self.wants
   local function has_clock() return select(2, capture:has_times()) end
-
-  function tap.packet(pinfo, tvb)
+  local tap = add_tap(self, nil, function(pinfo, tvb)
     local number = run.packets + 1
     -- Packets that come while Wireshark revisits those of a live capture are revisited, too.
     if not IS_TSHARK and pinfo.number ~= number then return end
-    calls.begun = calls.begun + 1
     if number == 1 then run.dates:set_first(capture:begin(pinfo)) end
     if is_waiting and asker.first_pass then -- known once a packet has YAPP
       is_waiting = false
@@ -126,9 +124,7 @@ local function tap_packets(self)
     end
     if frames.waits or number ~= frames.number then see_header(self, number, pinfo, tvb) end
     run:packet(number, pinfo.rel_ts, has_clock)
-    calls.ended = calls.ended + 1
-    if self.is_over then self:conclude() end
-  end
+  end)
 
   -- All packets will be revisited.  In Wireshark another window that wants to read while this
   -- statistic reads resets all taps, too, although Wireshark then goes on with this reading.
@@ -203,7 +199,7 @@ end
 
 -- End all statistics; return the exit code, and a list of texts to say.
 local function finish(self)
-  local failures, unread = self.calls.begun - self.calls.ended, explain_unread(self)
+  local failures, unread = self.count_failures(), explain_unread(self)
   local capture, drop = self.capture, self.refused
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error"))
   local refused = drop.count > 0 and REFUSED:format(output.count(drop.count, "packet"))
@@ -239,7 +235,8 @@ local function add_terminal(self, options, context)
     if HAS_SHELL and (self.options.i or self.capture.found.is_live) then
       io.popen("kill -INT $PPID"):close()
     else
-      self.is_over = true -- the tap of all packets ends the reading
+      self.is_over = true
+      self.taps[1].packet = function() self:conclude() end -- ends the reading
     end
   end
 end
