@@ -375,6 +375,7 @@ def test_a_display_filter_narrows_no_statistic(folder):
         done = tshark.run("-q", *options, "-r", CASES_FOLDER / "g0_clean.pcapng", "-z", "yapp,summary", "-z",
                           "yapp,faults,filter=yapp")
         assert [line.startswith("-Y does not narrow") for line in done.stdout.splitlines()].count(True) == is_said
+        assert re.search(r"\n(bus +)?ID +message +field +unit +min +mean +max +count\n", done.stdout), "the columns of the values"
 
 
 # The other ends ------------------------------------------------------------------------------------------------------
