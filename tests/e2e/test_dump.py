@@ -6,7 +6,6 @@ YAPP_SEED chooses other random dumps.
 """
 import gzip
 import itertools
-import math
 import os
 import random
 import struct
@@ -62,17 +61,21 @@ def records(data):
 
 
 class Line:
-    """The time of a dump, which never goes back.  Each ID has a clock, a new one if its controller reboots."""
+    """The time of a dump, which never goes back.  Each ID has clocks: that of a controller, a new one if it reboots."""
 
     def __init__(self, now):
         self.now, self.clocks, self.latest = now, {}, 0
 
     def go_on(self, ident, time):
-        last, ahead = self.clocks.get(ident, (math.inf, 0))  # the last stamp, how far the dump's time is ahead of it
-        if time < last:
-            ahead = self.latest if 0 <= time + self.latest - self.now < 10**9 else self.now - time
-        self.clocks[ident], self.latest = (time, ahead), ahead
-        self.now = max(self.now, time + ahead)
+        clocks = self.clocks.setdefault(ident, [])  # [the last stamp, how far the dump's time is ahead of it]
+        clock = max((clock for clock in clocks if clock[0] <= time and time + clock[1] > self.now - 10**9),
+                    key=lambda clock: clock[0], default=None)
+        if clock is None:
+            shares = 0 <= time + self.latest - self.now < 10**9
+            clock = [time, self.latest if shares else self.now - time]
+            clocks.append(clock)
+        clock[0], self.latest = time, clock[1]
+        self.now = max(self.now, time + clock[1])
         return self.now
 
 
@@ -222,6 +225,16 @@ def test_ids_of_the_preferences(folder):
     path = dump(folder, frame(0x211, data[12:-4]))
     assert times(path) == [""]
     assert times(path, "-o", "yapp.motor_ids:0x211") == ["0.000000009"]
+
+
+def test_two_controllers_with_one_id(folder):
+    """Their clocks alternate: the answer says so, and invents no silence."""
+    rng, tenth = random.Random(SEED), 10**8
+    data = b"".join(message(0x210, begin + at * tenth, rng) for at in range(50) for begin in (1000 * 10**9, 50 * 10**9))
+    done = tshark.run("-r", dump(folder, data), "-q", "-z", "yapp,check,silence=0", check=False)
+    assert done.returncode == 21 and "what came before its messages is not known" in done.stdout
+    seconds = [float(time) for time in times(dump(folder, data))]
+    assert max(later - earlier for earlier, later in itertools.pairwise(seconds)) < 0.2
 
 
 # Names and other ways in -----------------------------------------------------------------------------------------

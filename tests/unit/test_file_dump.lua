@@ -70,14 +70,21 @@ end
 
 -- The rules of a dump's time once more, in half seconds.
 local function new_model()
-  local latest, shifts, shift, time = {}, {}, 0, nil
+  local clocks_of, shift, time = {}, 0, nil
   return function(id, stamp)
     time = time or stamp
-    if stamp < (latest[id] or math.huge) then -- its first stamp, or it went back
-      local step = stamp + shift - time
-      shifts[id] = 0 <= step and step < 2 and shift or time - stamp
+    clocks_of[id] = clocks_of[id] or {}
+    local clocks, best = clocks_of[id], nil
+    for _, clock in ipairs(clocks) do -- the one that goes on with the stamp, and advances least
+      local goes_on = clock.last <= stamp and stamp + clock.shift > time - 2
+      if goes_on and (not best or clock.last > best.last) then best = clock end
     end
-    latest[id], shift = stamp, shifts[id]
+    if not best then
+      local step = stamp + shift - time
+      best = { shift = 0 <= step and step < 2 and shift or time - stamp }
+      clocks[#clocks + 1] = best
+    end
+    best.last, shift = stamp, best.shift
     time = math.max(time, stamp + shift)
     return time
   end

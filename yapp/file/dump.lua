@@ -1,6 +1,8 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- A raw serial dump as packets: the file of `cat /dev/ttyUSB0 > run.yapp`.  Pure Lua.
 
+local memo = require "yapp.base.memo"
+
 local Dump = {}
 Dump.__index = Dump
 
@@ -35,22 +37,38 @@ function Dump:stamp(finding)
   return seconds and seconds * SECOND + nanoseconds
 end
 
--- Advance the time of the dump by a stamp.  It never goes back: an ID has a new clock if its clock
--- went back, as its controller rebooted.  Messages of one controller have one clock.  So a new one
--- is that of the latest message if that makes a small step forward; else time goes on from the
--- latest record.
+-- Return how far the time of the dump is ahead of a clock that begins with this stamp.  Messages of
+-- one controller have one clock.  So use the clock of the latest message if that makes a small step
+-- forward; else time goes on from the latest record.
 --   latest record at 102.9 s, its clock 2.9 s: 3.0 s of another ID is 103.0 s, 0.05 s is 102.9 s
+local function shift_of(self, stamp)
+  local ahead = stamp + self.shift - self.time
+  return ahead >= 0 and ahead < MAX_STEP and self.shift or self.time - stamp
+end
+
+-- Return the clock of an ID that goes on with a stamp, the one that advances least; nil for none.
+-- The clock before a reboot does not: at its time the dump was long ago.
+local function clock_of(self, clocks, stamp)
+  local found
+  for _, clock in ipairs(clocks) do
+    local goes_on = clock.last <= stamp and stamp + clock.shift > self.time - MAX_STEP
+    if goes_on and (not found or clock.last > found.last) then found = clock end
+  end
+  return found
+end
+
+-- Advance the time of the dump by a stamp.  It never goes back: a controller that rebooted has
+-- a new clock, and so has another controller with the same ID.
 -- id  of the message
 local function advance(self, id, stamp)
-  local time, clock = self.time or stamp, self.clocks[id]
-  if not clock or stamp < clock.last then
-    local ahead = stamp + self.shift - time
-    local is_shared = ahead >= 0 and ahead < MAX_STEP
-    clock = { shift = is_shared and self.shift or time - stamp }
-    self.clocks[id] = clock
+  self.time = self.time or stamp
+  local clock = clock_of(self, self.clocks[id], stamp)
+  if not clock then
+    clock = { shift = shift_of(self, stamp) }
+    table.insert(self.clocks[id], clock)
   end
   clock.last, self.shift = stamp, clock.shift
-  self.time = math.max(time, stamp + clock.shift)
+  self.time = math.max(self.time, stamp + clock.shift)
 end
 
 --- Open a dump.
@@ -71,7 +89,7 @@ function Dump.open(file, options, head)
     next = 1, -- index of the first one that is no record yet
     is_over = false,
     time = nil, -- of the latest record; before that, the first time stamp of the file
-    clocks = {}, -- by ID: { last = stamp, shift = of the dump's time from it }
+    clocks = memo(), -- by ID: list of { last = stamp, shift = of the dump's time from it }
     shift = 0, -- of the clock of the latest message that has one
     records = {}, -- [offset] = { length = bytes, tags = FRAME or SKIPPED, time }
   }, Dump)
