@@ -41,6 +41,7 @@ function T.test_a_deviation_anywhere_is_seen()
     local name = line:sub(1, 60)
     lu.assertNotNil((opened(HEAD .. line .. "\n" .. HEAD, true)), name)
     lu.assertNotNil((opened(HEAD:rep(1000) .. line .. "\n" .. HEAD, true)), name)
+    lu.assertEquals(opened(HEAD .. line, true) == nil, line == "", name) -- at the end, its own end is not there
   end
   lu.assertNotNil((opened(HEAD:rep(levels.size(100000, 600000)) .. DEVIATIONS[4] .. "\n" .. HEAD, true)))
 end

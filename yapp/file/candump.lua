@@ -192,7 +192,7 @@ local SURE = 16 * 1024 * 1024
 --          file is plain
 local function find_unusual_text(file, head, erase_plain)
   local rest, size = erase_plain(head), #head
-  while not rest:find("\n", 1, true) and #rest <= HEAD do
+  while not rest:find("\n") and #rest <= HEAD do
     local more = file:read(SURE)
     if not more and (rest == "" or erase_plain(rest .. "\n") == "") then return nil end
     more = more or "\n"
