@@ -201,5 +201,3 @@ def test_statistics_without_a_tree_say_what_those_with_one_say(layout, option, f
 
     alone = events("-q")
     assert alone and alone == events("-V")
-
-

@@ -144,5 +144,3 @@ def test_files_redirections_and_pipes(folder, name, way):
     else:
         shown = rows(folder, *(["-2"] if way == "-2" else []), "-r", path)
     assert [row["data"] for row in shown] == [f"{i:08x}" for i in range(LINES)]
-
-

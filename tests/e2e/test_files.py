@@ -70,19 +70,6 @@ def test_names_of_channels():
     assert left in ("0x210", "CAN-1 0x210") and right == "right"
 
 
-def test_conversions(folder):
-    """The command of the document, where python-can is there."""
-    commands = re.findall(r"^    python3 -m (can\.logconvert) run\.(\S+) run\.log$", DOCUMENT.read_text(), re.MULTILINE)
-    assert [ending for _, ending in commands] == ["trc", "mf4", "csv"]  # MF4: tests/tools
-    if subprocess.run([PYTHON, "-c", "import can.logconvert"], capture_output=True, check=False).returncode:
-        pytest.skip("no python-can")
-    for module, ending in [commands[0], commands[2]]:
-        source = {"trc": "motor_2_1.trc", "csv": "motor.csv"}[ending]
-        shutil.copy(FOLDER / source, folder / f"run.{ending}")
-        subprocess.run([PYTHON, "-m", module, f"run.{ending}", "run.log"], cwd=folder, check=True, capture_output=True)
-        assert messages(folder / "run.log")[0] == WHOLE["motor"], source
-
-
 @levels.without_tshark("reads the sources")
 def test_readers_hold_what_wireshark_hands_them():
     """A reader that does not name an argument does not hold it: collected while the reader reads, it is freed, and

@@ -200,5 +200,3 @@ def test_ids_in_the_byte_order_of_the_machine(arguments, passes, folder):
     (folder / "swapped.pcap").write_bytes(capture_file.pcap(capture_file.SOCKETCAN, records))
     rows = shown(folder / "swapped.pcap", "yapp.id", "yapp.crc.status", passes=(*passes, *arguments, "-o", "can.byte_swap:TRUE"))
     assert rows == [["0x00000210", ""]] * 4 + [["0x00000210", "1"]] + [["0x00000123", ""]] * 4 + [["0x00000123", "1"]]
-
-

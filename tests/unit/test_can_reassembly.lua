@@ -19,14 +19,6 @@ local T = {}
 
 local HEALTH, MOTOR = { [""] = { 0x200, 0, 0 } }, { [""] = { 0x210, 0, 0 } }
 
--- The fragments of a message come one after the other: at a Start a tenth of a second behind them it
--- is decided that an End is lost.
-function T.test_a_lost_end_shows_at_the_next_start()
-  local frames, known = words.frames("S32 M8 S32 M8 M8 M8 E8", { ids = MOTOR }), words.new()
-  for i = 3, #frames do frames[i].time = frames[i].time + 0.1 end
-  lu.assertEquals(words.visits(known, frames), ". . .+fragment.incomplete . . . good")
-end
-
 -- A catalogue may allow a range of sizes: those are as good as the full one.
 function T.test_sizes_from_min_size_on()
   for text, expected in pairs {

@@ -83,7 +83,8 @@ function T.test_lines_that_are_not_understood()
     "0.1 1 8404000x", "0.1 1", "0.1 1 8404000x Xx d 8 BB",
     "8404000x Rx d 8 BB BE", "0.1 CANFD", "x", "0x", "0.1 CANFD 1 8404000x Rx 1 0 8 8",
     "0.1 1 123456789ABx Rx d 0", "1234567890.1 1 123 Rx d 0",
-    "0.1 " .. ("9"):rep(400) .. " 123 Rx d 0", "x 1 123 Rx d 0", "1 123 Rx d 0", "CANFD 1 Rx 123 0 0 2 2 1 2", "1 ErrorFrame" } do
+    "0.1 " .. ("9"):rep(400) .. " 123 Rx d 0", "x 1 123 Rx d 0",
+    "1 123 Rx d 0", "CANFD 1 Rx 123 0 0 2 2 1 2", "1 ErrorFrame" } do
     local record, kind = LOG:parse(line)
     lu.assertNil(record, line)
     lu.assertNotEquals(kind, "known", line)

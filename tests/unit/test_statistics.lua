@@ -720,26 +720,6 @@ local function said(records, with)
   return lines((printed:gsub("UNKNOWN, .- not decoded, (%d+) in what was decoded", "%1")))
 end
 
-function T.test_messages_that_were_not_decoded()
-  local records = { unknown(1, "can1", 0x212, 11), unknown(2, "can0", 0x213, 11), unknown(3, "can1", 0x211, 11),
-    unknown(4, "can1", 0x211, 11) }
-  local text = "4 messages were not decoded: can0 0x213, can1 0x211, 0x212 (11 bytes each, the size of Motor Data). " ..
-    "Try -o yapp.motor_ids:0x210-0x213"
-  lu.assertEquals(said(records), { "YAPP faults: 0", text })
-  for _, what in ipairs(AS_DATA) do
-    local printed, code, texts = run({ what }, records)
-    lu.assertEquals({ texts, code }, { { text }, what:find("^fault") and 21 or 0 }, what)
-    lu.assertNotStrContains(printed, "decoded")
-  end
-  for _, what in ipairs(IN_TEXT) do
-    lu.assertEquals(lines(run({ what }, records))[2], text)
-  end
-  lu.assertStrContains(said({ records[3], records[4] })[2], "2 messages were not decoded: can1 0x211 (11 bytes each, the")
-  lu.assertEquals(#lines((run({ "events,json" }, records))), 3) -- of a source and size the first one
-  -- those that a filter lets count
-  lu.assertStrContains(said(records, { matches = { [1] = true } })[2], "1 message was not decoded: can1 0x212 (11 bytes, the")
-end
-
 function T.test_messages_that_may_hide_faults()
   local title, text = "YAPP faults: 0", "damaged or lost messages may hide faults: "
   local records = { record(1, 0), bad(2, 0.1), bad(3, 0.2) }
