@@ -17,15 +17,6 @@ local function message(changes, field)
   return entry
 end
 
-function T.test_the_real_catalogue()
-  local compiled, problems = catalogue.compile(dofile("taurus_fields.lua"))
-  lu.assertEquals(problems, {})
-  for id, size in pairs { [0] = 7, [0x200] = 17, [0x210] = 32 } do lu.assertEquals(compiled.by_id[id].size, size) end
-  lu.assertEquals(compiled.by_id[0x210].by_name.fault_flags.offset, 18)
-  lu.assertEquals(compiled.by_id[0x210].by_name.fault_flags.flags[1].filter, "taurus.motor.fault.oc_limit_unmeasurable")
-  lu.assertEquals(compiled.by_id[0x210].by_name.status_flags.undefined, 0xBC000FFD)
-end
-
 -- A file of these messages is read, and answered with one problem for the message that is wrong.
 local function problem_of(entry)
   local compiled, problems = catalogue.compile { entry }
@@ -121,18 +112,6 @@ function T.test_values_for_columns()
   lu.assertEquals(compiled.messages[1].by_name.v.filters, { "taurus.m.v.special", "taurus.m.v" })
 end
 
-function T.test_one_bad_message_does_not_take_the_others_along()
-  local compiled, problems = catalogue.compile { message { id = 9999 }, message { name = "n" } }
-  lu.assertEquals({ #compiled.messages, compiled.by_id[1].name, #problems }, { 1, "n", 1 })
-end
-
-function T.test_two_messages_that_meet()
-  local _, problems = catalogue.compile { message(), message { name = "n" } }
-  lu.assertStrContains(problems[1], "message n: id 0x1 is that of message m")
-  _, problems = catalogue.compile { message(), message { id = 2 } }
-  lu.assertStrContains(problems[1], "message m: the name is there twice")
-end
-
 -- Alarms and texts --------------------------------------------------------------------------------------------------
 
 -- The alarm bits of a field with these options, and whether the message has it as an alarm.
@@ -148,10 +127,6 @@ function T.test_which_bits_are_alarms()
   lu.assertEquals(alarm_of { flags = { a }, group = "g" }, { 0, false })
   lu.assertEquals(alarm_of { flags = { a, b }, group = "g" }, { 6, true })
   lu.assertEquals(alarm_of { flags = { a, b }, group = "g", alarm = true }, { 0xFF, true })
-  local motor = catalogue.compile(dofile("taurus_fields.lua")).by_id[0x210]
-  local fault, state = motor.by_name.fault_flags, motor.by_name.motor_state
-  lu.assertEquals(motor.alarms, { fault, state })
-  lu.assertEquals({ fault.alarm_bits, state.alarm_bits, motor.by_name.status_flags.alarm_bits }, { 0xFFFFFFFF, 0x20, 0 })
 end
 
 -- Each fault of the vendor's has help.  What the document does not say is marked.

@@ -110,12 +110,6 @@ function T.test_the_id_is_told_where_it_is_not_the_default()
     { "Health 0x205", "Health 0x205", "Motor Data", "Command" })
 end
 
-function T.test_the_name_that_the_user_gave()
-  local r = new("can0=left")
-  lu.assertEquals(r:new_source(5, 1, "can0").name, "left")
-  lu.assertNil(r:new_source(5, 2, "can1").name)
-end
-
 -- A sender in UDP or TCP has the name of its address.
 function T.test_what_a_sender_is_called()
   local line = { label = "…12:40000" }

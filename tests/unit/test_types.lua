@@ -221,20 +221,4 @@ function T.test_info_with_units()
   lu.assertEquals(units.info { 7, 255, nil }, "7 %, NaN V NaN - °C")
 end
 
-function T.test_info_of_every_kind()
-  local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 31,
-    info = "{a} {b:%.1f} {c} {d} {e} {f:%.2f} {g} {h}", { "a", "int8", "A" }, { "b", "int16", "B", scale = 0.1 },
-    { "c", "uint8", "C", values = { "true" } }, { "d", "string", "D", length = 3 }, { "e", "bytes", "E", length = 2 },
-    { "f", "float32", "F" }, { "g", "uint64", "G" }, { "h", "int64_ns", "H" }, { "i", "padding", length = 2 } } }
-  lu.assertEquals(problems, {})
-  local m = compiled.messages[1]
-  local payload = bytes("ff" .. "97ff" .. "01" .. "616263" .. "00ff" .. "cdcc8c3f" .. "0000000000002000" ..
-    "00ca9a3b00000000" .. "0000")
-  lu.assertEquals(m.info((m.read(payload))),
-    "-1 -10.5 true abc 00ff 1.10 9007199254740992 1.000000000 s")
-  payload = bytes("ff" .. "97ff" .. "02" .. "616263" .. "00ff" .. "ffffffff") .. payload:sub(14)
-  lu.assertEquals(m.info((m.read(payload))),
-    "-1 -10.5 invalid 0x2 abc 00ff NaN 9007199254740992 1.000000000 s")
-end
-
 return T

@@ -110,7 +110,6 @@ local latest_names = memo() -- [field] = { raw, names }: they seldom change
 --- Return the filter names of the flags that are set, faults first, undefined bits as one number:
 -- "faulted, running, undefined 0x80".
 function M.flag_names(field, raw)
-  if raw == 0 then return "" end
   local latest = latest_names[field]
   if latest.raw == raw then return latest.names end
   local function names_of(bits)
