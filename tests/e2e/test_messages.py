@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Messages of the user's own: where they are loaded from, every type of field, and docs/messages.md.
 
-    test_messages.py    writes NAME.pcap and NAME.expected of test_captures/own_messages anew: look at the difference"""
-import html
+    test_messages.py    writes NAME.pcap and NAME.expected of test_captures/own_messages, and what the page's commands print, anew:
+                        look at the difference"""
 import json
 import os
 import pathlib
@@ -177,36 +177,42 @@ def test_a_firmware_that_appends_fields(folder, passes):
 
 # docs/messages.md ------------------------------------------------------------------------------------------------
 
-def test_the_page_about_messages(folder):
-    """Its file, its commands in a real shell, and what they print."""
-    page = (tshark.ROOT / "docs/messages.md").read_text()
-    code = re.search(r"(?s)```lua\n(.*?)```", page)[1]
-    options, load = home_with(folder, {"yapp_messages.lua": code})
+PAGE = tshark.ROOT / "docs/messages.md"
+
+
+def page_of(folder):
+    """The page, with what its commands print in a real shell where its file is installed."""
+    page = PAGE.read_text()
+    options, load = home_with(folder, {"yapp_messages.lua": re.search(r"(?s)```lua\n(.*?)```", page)[1]})
     wrapper = folder / "bin/tshark"
     wrapper.parent.mkdir()
     wrapper.write_text(f'#!/bin/sh\nexec {shutil.which("tshark")} {" ".join(load)} "$@"\n')
     wrapper.chmod(0o755)
     environment = {**os.environ, **options["env"], "LC_ALL": "C.UTF-8", "TZ": "UTC",
                    "PATH": f"{wrapper.parent}:{os.environ['PATH']}"}
-    environment.pop("XDG_CONFIG_HOME", None)
-    ran = 0
-    for block in re.findall(r"(?m)((?:^    .*\n)+)", page):
-        lines = [html.unescape(line[4:]) for line in block.splitlines()]
-        if not lines[0].startswith("$ "):
-            continue
-        command, wanted = lines[0][2:], lines[1:]
-        done = subprocess.run(["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True,
+    for name in ("XDG_CONFIG_HOME", "YAPP_MESSAGES"):
+        environment.pop(name, None)
+
+    def run(match):
+        done = subprocess.run(["bash", "-c", match[2]], cwd=folder, env=environment, capture_output=True, text=True,
                               timeout=tshark.TIMEOUT, **tshark._user())
         assert done.returncode == 0 and "Lua" not in done.stderr, done.stderr
-        assert done.stdout.rstrip().splitlines() == wanted, f"docs/messages.md: {command}"
-        ran += 1
-    assert ran >= 4
+        return match[1] + "".join(f"    {line}\n" for line in done.stdout.rstrip().splitlines())
+
+    text, count = re.subn(r"(?m)^(    \$ (.*)\n)(?:    .*\n)*", run, page)
+    assert count >= 4
+    return text
+
+
+def test_the_page_about_messages(folder):
+    assert page_of(folder) == PAGE.read_text(), "run make regenerate"
 
 
 if __name__ == "__main__":
+    place = tshark.writable_folder()
+    PAGE.write_text(page_of(place))
+    shutil.rmtree(place)
     os.environ["YAPP_MESSAGES"] = str(CATALOGUE)
     for one in NAMES:
         (OWN / f"{one}.pcap").write_bytes(pcap(one))
         (OWN / f"{one}.expected").write_text(shown(one))
-
-
