@@ -71,10 +71,12 @@ def install_plugin(home):
     bundle.write(home / ".local/lib/wireshark/plugins/yapp", Path(PLUGIN).parent)
 
 
-def run_tables(folder, *arguments, timeout=300, **options):
-    """The command as a user runs it, in this folder; returns the finished process."""
+def run_tables(folder, *arguments, code=None, timeout=300, **options):
+    """The command as a user runs it, in this folder; returns the finished process. code: which it must end with."""
     command = [sys.executable, "-m", "yapp_tables", *map(str, arguments)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout, **options)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout, **options)
+    assert code in (None, done.returncode), done.stderr
+    return done
 
 
 def result(folder, name, suffix):

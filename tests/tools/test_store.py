@@ -62,8 +62,7 @@ def captures(make_capture):
 
 def convert(folder, to, captures="captures/*.pcapng", **more):
     command = ["convert", captures, "--to", to, "--out", f"s3://flights/{to}", "--tshark", FAKE]
-    done = run_tables(folder, *command, env=os.environ | more)
-    assert done.returncode == 0, done.stderr
+    run_tables(folder, *command, env=os.environ | more, code=0)
 
 
 def ask(to, query):
