@@ -76,7 +76,9 @@ local function pcapng(linktypes, packets, number)
   return table.concat(text)
 end
 
-local function can_over_sll2(index) return "\0\12\0\0" .. be(index, 4) .. ("\0"):rep(12 + 16) end
+local function can_over_sll2(index, protocol) -- 12 is CAN, 13 CAN FD
+  return "\0" .. string.char(protocol or 12) .. "\0\0" .. be(index, 4) .. ("\0"):rep(12 + 16)
+end
 local function rtac(event) return ("\0"):rep(8) .. string.char(event) .. "\0\0\0bytes" end
 local CAN_OVER_SLL = ("\0"):rep(15) .. "\12" .. ("\0"):rep(16)
 local FD_OVER_SLL = ("\0"):rep(15) .. "\13" .. ("\0"):rep(16)
@@ -138,7 +140,7 @@ function T.test_buses()
       { pcap(SLL2, { can_over_sll2(3), can_over_sll2(3) }, number), "" },
       { pcap(SLL2, { can_over_sll2(3), IP_OVER_SLL2, can_over_sll2(7), can_over_sll2(3) }, number),
         "1 - 2 1" },
-      { pcap(SLL2, { can_over_sll2(3), can_over_sll2(2 ^ 31 + 3) }, number), "1 2" },
+      { pcap(SLL2, { can_over_sll2(3), can_over_sll2(2 ^ 31 + 3, 13) }, number), "1 2" },
       { pcap(RTAC, { rtac(1), rtac(2), rtac(3), rtac(4), rtac(9), "x" }, number), "1 2 1 2 1 1" },
       { pcap(RTAC, { rtac(2), rtac(4) }, number), "" },
       { pcap(SLL, { CAN_OVER_SLL, FD_OVER_SLL }, number), "" },
@@ -234,10 +236,10 @@ end
 function T.test_sections_and_interfaces_that_come_late()
   local first = section(le) .. interface(CAN, le, option(2, "can0", le)) .. packet(0, "x", le)
   local found = read(first .. interface(CAN, le, option(2, "can1", le)) .. packet(1, "x", le) ..
-    packet(0, "x", le) ..
+    block(0xBAD, "\0\0\1\0custom", le) .. block(0x777, "", le) .. packet(0, "x", le) ..
     section(be) .. interface(ETHERNET, be) .. interface(CAN, be, option(2, "can2", be)) ..
     packet(0, "x", be) .. packet(1, "x", be) .. section(le) .. packet(0, "x", le))
-  lu.assertEquals({ buses(found), list_names(found) }, { "1 2 1 4 3 -", { "can0", "can1", "can2", "if2" } })
+  lu.assertEquals({ buses(found), list_names(found) }, { "1 2 - 1 4 3 -", { "can0", "can1", "can2", "if2" } })
   found = read(first .. first) -- as when two files are put one behind the other
   lu.assertEquals({ buses(found), list_names(found) }, { "1 2", { "can0#0", "can0#1" } })
 end
@@ -283,7 +285,8 @@ end
 -- A read filter shifts the numbers: Wireshark's time of a packet is another than the file's.
 function T.test_the_time_tells_whether_a_number_is_still_this_packets()
   local seconds = 1700000000.25
-  for exponent, per_second in pairs { ["\6"] = 1e6, ["\3"] = 1e3, ["\0"] = 1, ["\9"] = 1e9, ["\133"] = 32 } do
+  for exponent, per_second in pairs { ["\6"] = 1e6, ["\3"] = 1e3, ["\0"] = 1, ["\9"] = 1e9, ["\128"] = 1,
+    ["\133"] = 32 } do
     for _, number in ipairs { le, be } do
       local options = option(9, exponent, number)
       local function at(time) return math.floor(time * per_second + 0.5) end
@@ -518,7 +521,8 @@ function T.test_captures_that_begin()
     { pcapng({ CAN, CAN }, { { 0, "x" } }, le), false, true, true }, { pcapng({ SLL2 }, {}, be), true, true, true },
     { pcapng({ SLL }, {}, be), true, true, true },
     { pcapng({ SLL2 }, { { 0, IP_OVER_SLL2 } }, be), false, false, true },
-    { pcapng({ ETHERNET }, {}, le), false, false, false }, { pcap(CAN, {}, le), false, false, false },
+    { pcapng({ ETHERNET }, {}, le), false, false, false },
+    { pcapng({ ETHERNET, ETHERNET }, {}, le), false, true, false }, { pcap(CAN, {}, le), false, false, false },
     { pcap(SLL2, { can_over_sll2(3) }, le), false, false, true }, { "", false, false, false },
     { by_dumpcap .. interface(CAN, le), true, false, false },
     { by_dumpcap .. interface(CAN, le) .. interface(CAN, le), true, true, true },
@@ -550,9 +554,11 @@ function T.test_other_peoples_files_are_left_alone()
     end)
     lu.assertEquals({ asked, found.has_several, buses(found) }, { 0, false, "" })
   end
-  local blf, plain = read("LOGG" .. long), read(pcap(CAN, { "x" }, le))
-  lu.assertEquals({ blf.is_told, plain.is_told }, { false, true })
-  lu.assertEquals({ blf.is_unknown, plain.is_unknown }, { true, false })
+  for text, expected in pairs { ["LOGG" .. long] = { false, true }, [pcap(CAN, { "x" }, le)] = { true, false },
+    [pcapng({ ETHERNET, ETHERNET }, {}, le)] = { true, true } } do
+    local found = read(text)
+    lu.assertEquals({ found.is_told, found.is_unknown }, expected)
+  end
 end
 
 -- It must not raise, nor run for ever, and what it says of the packets in front stays right.

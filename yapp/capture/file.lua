@@ -87,7 +87,7 @@ end
 local COOKED_2, RTAC = 276, 250
 local IS_CAN = { ["\0\12"] = true, ["\0\13"] = true } -- protocols of Linux cooked captures
 local EVENT_DIRECTIONS = { "tx", "rx", "tx", "rx" } -- of an RTAC packet by its event
-local FLAG_DIRECTIONS = { [0] = 0, "rx", "tx" } -- by the lowest two bits of a packet's flags
+local FLAG_DIRECTIONS = { "rx", "tx" } -- by the lowest two bits of a packet's flags
 local HEADER = 8 + 1
 
 local function index_by_flags(_, flags) return FLAG_DIRECTIONS[flags % 4] or 0 end
