@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[1] / "e2e"))
-from crc32k import crc32k
+import capture_file
+from can_generator import SINGLE, Sent
 
 START = 1_700_000_000_000_000_000  # nanoseconds since 1970
 OPTIONS = ("yapp.motor_ids:0x210,0x211", "yapp.health_ids:0x200,0x201")
@@ -53,33 +54,12 @@ class Pcapng:
     def __init__(self, path):
         self.begin = None
         self.file = open(path, "wb")  # noqa: SIM115
-        self.block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))
-        for bus in BUSES:
-            name = bus.encode()
-            options = (
-                struct.pack("<HH4s", 2, len(name), name) + struct.pack("<HHB3x", 9, 1, 9) + struct.pack("<HH", 0, 0)
-            )
-            self.block(1, struct.pack("<HHI", 227, 0, 0) + options)
+        rows = [capture_file.interface(capture_file.SOCKETCAN, bus, capture_file.NANOSECONDS) for bus in BUSES]
+        self.file.write(capture_file.section(*rows))
 
-    def block(self, kind, body):
-        size = len(body) + 12
-        self.file.write(struct.pack("<II", kind, size) + body + struct.pack("<I", size))
-
-    def frame(self, time, bus, can_id, data):
+    def frame(self, time, bus, frame):
         self.begin = self.begin or time
-        packet = struct.pack(">IB3x", can_id | 0x8000_0000, len(data)) + data
-        head = struct.pack("<IIIII", bus, time >> 32, time & 0xFFFF_FFFF, len(packet), len(packet))
-        self.block(6, head + packet + bytes(-len(packet) % 4))
-
-
-def frames(message, payload):
-    """The CAN frames of a message: one, or Start, Middles and End."""
-    if len(payload) <= 8:
-        return [(message << 18, payload)]
-    crc = crc32k(b"YP" + struct.pack("<BBIHH", 0, 0, message, len(payload), 0) + payload)
-    parts = [(message << 18 | 0x8000, payload[at : at + 8]) for at in range(0, len(payload), 8)]
-    parts[-1] = message << 18 | 0xC000, parts[-1][1]
-    return [(message << 18 | 0x4000, struct.pack("<IHH", crc, len(payload), 0)), *parts]
+        self.file.write(capture_file.packet(time, frame.record(), bus))
 
 
 class Controller:
@@ -185,6 +165,8 @@ def _motor(pcap, truth, controller, known, time):
 
 
 def send(pcap, time, bus, message, payload, lose=None):
-    for number, (can_id, data) in enumerate(frames(message, payload)):
+    sent = Sent(message, 0, 0, payload)
+    frames = sent.frames() if len(payload) > 8 else [sent.frame(SINGLE, payload)]
+    for number, frame in enumerate(frames):
         if number != lose:
-            pcap.frame(time + number * 100_000, bus, can_id, data)
+            pcap.frame(time + number * 100_000, bus, frame)
