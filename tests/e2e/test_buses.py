@@ -19,7 +19,7 @@ import capture_file
 import flights
 import levels
 import tshark
-from test_sharkd import answers_of, details, filters_in, shutil
+from test_sharkd import answers_of, details, filters_in, home, shutil  # noqa: F401 home, of a test
 
 pytestmark = levels.by_version
 FLIGHT = tshark.ROOT / "docs/flight.pcapng"
@@ -151,12 +151,6 @@ def values_of(texts):
 def comparable(rows):
     """Source, links and faults; as fragments, that the last is the frame itself is told by neither in order."""
     return [{name: sorted(some) for name, some in row.items() if name != "yapp.time_delta"} for row in rows]
-
-
-@pytest.fixture
-def home(folder):
-    tshark.install_plugin(folder / tshark.PERSONAL_FOLDER / "yapp")
-    return folder
 
 
 def assert_sharkd_says(home, path, rows, known, seed):

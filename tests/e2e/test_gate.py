@@ -70,8 +70,7 @@ def installed(folder, change=None):
     plugin = tshark.install_plugin(folder / "home" / tshark.PERSONAL_FOLDER / "yapp")
     if change:
         change(plugin)
-    for path in [folder, *folder.rglob("*")]:
-        path.chmod(0o777 if path.is_dir() else 0o666)
+    tshark.open_to_all(folder)
     return folder / "home"
 
 

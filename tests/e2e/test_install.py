@@ -31,8 +31,7 @@ def script(folder):
 
 def load(home, *arguments, **options):
     """Shows the capture; returns stderr of a run in which the plugin decoded it, less what other layers say there."""
-    for path in [home, *home.rglob("*")]:
-        path.chmod(0o755 if path.is_dir() else 0o644)
+    tshark.open_to_all(home)
     done = tshark.run(*arguments, "-r", CAPTURE, "-T", "fields", "-e", "taurus.motor.dc_voltage", "-e",
                       "_ws.lua.error", plugin=False, env={"HOME": str(home)}, **options)
     assert [line.strip()[:5] for line in done.stdout.splitlines() if line.strip()] == ["47.97"], done.stderr
@@ -97,8 +96,7 @@ def test_a_clone_in_a_plugin_folder(home):
     """Wireshark runs all of its modules, which complain; the plugin works."""
     shutil.copytree(tshark.ROOT, home / PLUGINS / "clone",
                     ignore=shutil.ignore_patterns(".git", "__pycache__", "test_captures", "dist"))
-    for path in [home, *home.rglob("*")]:
-        path.chmod(0o755 if path.is_dir() else 0o644)
+    tshark.open_to_all(home)
     done = tshark.run("-r", CAPTURE, plugin=False, env={"HOME": str(home)}, cwd="/", lua_errors=True)
     assert "Motor Data" in done.stdout
     assert f"{PLUGINS}/clone/yapp/" in done.stderr

@@ -121,8 +121,7 @@ def test_what_wireshark_writes_into_the_profile_stays(home, source):
 def test_purge(home, source):
     (home / ".config/wireshark").mkdir(parents=True)
     (home / ".config/wireshark/preferences").write_text("")
-    for path in (home / ".config").rglob("*"):
-        path.chmod(0o777)
+    tshark.open_to_all(home / ".config")
     run(home, source=source)
     for name in ("yapp.lua", "taurus_fields.lua"):
         edit(home / YAPP / name)
@@ -139,8 +138,7 @@ def test_purge(home, source):
 
 def test_another_copy_is_named(home):
     tshark.copy_plugin(home / PLUGINS / "an-old-one", tshark.ROOT)
-    for path in [home, *home.rglob("*")]:
-        path.chmod(0o777 if path.is_dir() else 0o666)
+    tshark.open_to_all(home)
     lines = run(home, code=1, path=REAL)
     line_of(lines, "problem", f"another copy, {home / PLUGINS / 'an-old-one/yapp.lua'}, instead of")
 
@@ -149,8 +147,7 @@ def test_another_copy_is_named(home):
 def test_not_from_the_plugin_folder(home, source, place):
     (home / place).parent.mkdir(parents=True)
     shutil.copytree(source, home / place)
-    for path in [home, *home.rglob("*")]:
-        path.chmod(0o777)
+    tshark.open_to_all(home)
     before = all_of(home)
     assert "in Wireshark's plugin folder" in run(home, source=home / place, code=1)[-1]
     assert all_of(home) == before

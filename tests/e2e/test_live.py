@@ -430,9 +430,7 @@ def home(folder):
     for name in (".config/wireshark/extcap", ".local/lib/wireshark/extcap"):
         (home / name).mkdir(parents=True)
         shutil.copy(EXTCAP, home / name)
-    for path in [home, *home.rglob("*")]:
-        path.chmod(0o777)
-    return home
+    return tshark.open_to_all(home)
 
 
 def run_tshark(home, *arguments):

@@ -22,8 +22,7 @@ def german():
         ["localedef", "-i", "de_DE", "-f", "UTF-8", str(locale)], capture_output=True, check=False).returncode == 0
     if not made:
         pytest.skip("no locale can be made")
-    for path in [locale, *locale.rglob("*")]:
-        path.chmod(0o777 if path.is_dir() else 0o666)
+    tshark.open_to_all(locale)
     yield {"LOCPATH": str(folder), "LC_ALL": "de_DE.UTF-8"}
     shutil.rmtree(folder)
 

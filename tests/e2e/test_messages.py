@@ -104,8 +104,7 @@ def home_with(folder, files):
     for name, text in files.items():
         (folder / PERSONAL / name).write_text(text)
     plugin = tshark.copy_plugin(folder / "plugin")
-    for path in [folder, *folder.rglob("*")]:
-        path.chmod(0o777 if path.is_dir() else 0o644)
+    tshark.open_to_all(folder)
     return {"plugin": False, "env": {"HOME": str(folder)}}, tshark.load(plugin / "yapp.lua")
 
 

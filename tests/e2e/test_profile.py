@@ -35,8 +35,7 @@ def home():
     """A home with the profile."""
     path = tshark.writable_folder()
     shutil.copytree(PROFILE, path / ".config/wireshark/profiles/YAPP")
-    for entry in [path, *path.rglob("*")]:
-        entry.chmod(0o777)
+    tshark.open_to_all(path)
     yield path
     shutil.rmtree(path, ignore_errors=True)
 
@@ -54,8 +53,7 @@ def known():
     """The names of all fields; -G takes no -X, so the plugin has to lie in a plugin folder."""
     path = tshark.writable_folder()
     tshark.install_plugin(path / tshark.PERSONAL_FOLDER / "yapp")
-    for entry in [path, *path.rglob("*")]:
-        entry.chmod(0o777 if entry.is_dir() else 0o644)
+    tshark.open_to_all(path)
     done = tshark.run("-G", "fields", plugin=False, env={"HOME": str(path)})
     yield {line.split("\t")[2] for line in done.stdout.splitlines() if line.count("\t") > 1}
     shutil.rmtree(path, ignore_errors=True)

@@ -39,8 +39,7 @@ def test_files_and_connections(folder):
         path.write_text(OWN % (f"own{number}", number, f"0{number}"))
     (personal / "preferences").write_text(f"yapp.messages: {named[1]}\n")
     (folder / "rules.txt").write_text("fault=9\n")
-    for path in [folder, *folder.rglob("*")]:
-        path.chmod(0o777 if path.is_dir() else 0o644)
+    tshark.open_to_all(folder)
     reads = {*map(str, named), str(folder / "rules.txt"), str(personal / "preferences")}
     asked_for = (f"{folder}/tables/", f"{folder}/report.xml")
     capture = tshark.ROOT / "docs/flight.pcapng"

@@ -360,8 +360,7 @@ def test_commands_of_the_page(folder):
     written(folder, parts, bluetooth, "ble.pcapng")
     log = (tshark.CAPTURES / "candump/candump_log_plain.log").read_text()
     (folder / "candump.log").write_text(log)
-    for path in folder.rglob("*"):
-        path.chmod(0o777 if path.is_dir() else 0o666)
+    tshark.open_to_all(folder)
     assert len(COMMANDS) == 15
     for command in COMMANDS:
         done = test_readme.shell(folder, command + " -z yapp,summary,json" * ("text2pcap" not in command))

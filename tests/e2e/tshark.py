@@ -156,6 +156,11 @@ def flag(value):
 
 def writable_folder():
     """A folder that tshark, whoever it runs as, can read and write."""
-    path = pathlib.Path(tempfile.mkdtemp(prefix="yapp-test-"))
-    path.chmod(0o777)
-    return path
+    return open_to_all(pathlib.Path(tempfile.mkdtemp(prefix="yapp-test-")))
+
+
+def open_to_all(folder):
+    """Lets every user write into a folder and all that is in it; returns the folder."""
+    for path in [folder, *folder.rglob("*")]:
+        path.chmod(0o777)
+    return folder
