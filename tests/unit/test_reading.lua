@@ -238,6 +238,7 @@ function T.test_a_serial_line()
     "skipped 5, single good Motor Data, 20 pending")
   local contents = visit_packet(capture, 0, MOTOR_FRAME:sub(21) .. BAD_FRAME)
   lu.assertEquals(results_in_words(contents), "single good Motor Data, single bad Motor Data")
+  lu.assertEquals(contents.results[1].transfer.payload, payload_of(MOTOR, 1))
   local bad = contents.results[2].transfer
   lu.assertEquals((bad.crc - bad.calculated) % 2 ^ 32, 2 ^ 24) -- its last byte is one more
   for i, result in ipairs(contents.results) do -- no two findings have one key

@@ -109,6 +109,9 @@ function T.test_the_capture_ends_before_a_frame()
   lu.assertEquals(unfinished(self, true), "a incomplete 5 of 5, c skipped 11 of 6")
   for i, row in ipairs(rows) do found[i] = self:is_unfinished(self:find(row.packet), row.packet) end
   lu.assertEquals(found, { false, false, false, false, true, false })
+  local again = { 2, A:sub(1, 20), "", seq = 0 }
+  self = holds { { 1, A:sub(1, 20), "20 wait", seq = 0 }, again }
+  lu.assertFalse(self:is_unfinished(self:find(packet_of(again)), packet_of(again)))
   self = holds({ { 1, A .. B:sub(1, 12), "good 5 @0, 12 wait" } }, { is_datagram = true })
   lu.assertEquals(unfinished(self), " incomplete 6 of 1")
 end

@@ -95,7 +95,7 @@ local function locate_finding(stream, finding, contents)
     drop_pieces(stream, finding.from)
     finding.packet_keys = {}
     for _, piece in ipairs(stream.pieces) do
-      if piece.from < finding.to and piece.to > finding.from then
+      if piece.from < finding.to then
         table.insert(finding.packet_keys, piece.key)
         if piece ~= contents then piece.leads_to = contents.key end
       end
