@@ -224,10 +224,10 @@ local function random_messages(seed, count)
   end
   local messages, now, faults, time = {}, { 0, 0, 0 }, { 0, 0, 0 }, 0
   for i = 1, count do
-    time = time + random(100) / 100
+    time = time + (random(20) == 0 and 20 or random(100) / 100) -- 20 s: was the clock set?  A Command does not tell
     local who = 1 + random(4)
     if who == 4 then
-      messages[i] = command(i * 3, time, random(3))
+      messages[i] = command(i * 3, time, random(3), random(3))
     else
       local step = random(20)
       now[who] = step == 0 and 0 or step == 1 and now[who] or now[who] + step

@@ -227,7 +227,7 @@ end
 local function detect_missing(source, message, delta, change)
   local seq, fall = message.seq, change and change.reboot or 0
   local ahead = (seq - (source.seq or seq)) % 256
-  local is_late = ahead >= 256 - MAX_BEHIND and fall < LARGE_FALL and delta <= MAX_LATE
+  local is_late = ahead >= 256 - MAX_BEHIND and fall < LARGE_FALL and (delta or 0) <= MAX_LATE
   if is_late then return nil end
   source.seq = seq
   if ahead > 1 and fall == 0 then return "missing", ahead - 1 end
