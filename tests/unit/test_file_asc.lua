@@ -151,6 +151,10 @@ function T.test_times()
   block = "Begin Triggerblock Tue Nov 14 10:15:00.500 pm 2023\n"
   lu.assertEquals(times(HEAD .. frame .. block .. frame), "0.501000000 0.501000000") -- behind a frame times go on
   lu.assertEquals(times(HEAD .. block .. "100.5 1 123 Rx d 0\n" .. frame), "100.501000000 0.501000000")
+  -- A block that begins less than 2 s from the time since the date has times since the date.
+  for began, expected in pairs { ["22.500"] = "0.501000000", ["22.501"] = "3.001000000" } do
+    lu.assertEquals(times(HEAD .. ("Begin Triggerblock Tue Nov 14 22:13:%s 2023\n"):format(began) .. frame), expected)
+  end
 end
 
 -- A date in another language, or none: times count from the date before, or from 0, and the line is named.
