@@ -43,6 +43,13 @@ function T.test_what_is_no_copy()
   lu.assertEquals(found { { 0, "a" }, { 0.001, "b" } }, { "-", "-" })
   lu.assertEquals(found { { 0, "a" }, { 0.001, "a", MOTOR, 1 } }, { "-", "-" })
   lu.assertEquals(found { { 0, "a" }, { 0.001, "a", { id = 0x210, type = MOTOR.type } } }, { "-", "-" }) -- another bus
+  local fast = { id = 0x210, bus_key = 1, type = { every = 0.02, time = {} } } -- half of it is less than 20 ms
+  lu.assertEquals(found { { 0, "a", fast }, { 0.0099, "a", fast }, { 0.0101, "a", fast } }, { "-", 1, "-" })
+  -- Of a source's messages the latest 16 that are no copies.
+  local rows = { { 0, "a" }, { 0, "b" } }
+  for i = 3, 17 do rows[i] = { i / 1000, "c" .. i } end
+  rows[18], rows[19] = { 0.018, "a" }, { 0.018, "c3" }
+  lu.assertEquals({ found(rows)[18], found(rows)[19] }, { "-", 3 })
   -- A damaged message is no copy of the good one.
   lu.assertEquals(found { { 0, "a" }, { 0, "a", MOTOR, 0, true }, { 0, "a", MOTOR, 0, true } }, { "-", "-", 2 })
 end
