@@ -721,6 +721,18 @@ local function said(records, with)
   return lines((printed:gsub("UNKNOWN, .- not decoded, (%d+) in what was decoded", "%1")))
 end
 
+-- A text for all, and an event for each source and size.
+function T.test_messages_that_were_not_decoded()
+  local records = { unknown(1, "can1", 0x212, 11), unknown(2, "can0", 0x213, 11), unknown(3, "can1", 0x211, 11),
+    unknown(4, "can1", 0x211, 11), unknown(5, "can1", 0x210, 11, { type = MOTOR }) }
+  lu.assertEquals(said(records)[2], "5 messages were not decoded: can0 0x213, can1 0x211, 0x212 (11 bytes each, the size of " ..
+    "Motor Data); can1 0x210 (11 bytes, Motor Data with a YAPP CTL other than 0, see yapp.all_extended). " ..
+    "Try -o yapp.motor_ids:0x210-0x213")
+  local events = lines((run({ "events,json" }, records)))
+  lu.assertEquals({ #events, events[4]:match('"like":"motor"') }, { 4, '"like":"motor"' })
+  lu.assertStrContains(said({ records[3], records[4] })[2], "2 messages were not decoded: can1 0x211 (11 bytes each, the")
+end
+
 function T.test_messages_that_may_hide_faults()
   local title, text = "YAPP faults: 0", "damaged or lost messages may hide faults: "
   local records = { record(1, 0), bad(2, 0.1), bad(3, 0.2) }
