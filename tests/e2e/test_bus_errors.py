@@ -15,7 +15,7 @@ from test_buses import BEGIN, Placed, interfaces, motor, packet
 
 pytestmark = levels.by_version
 CASES = tshark.CAPTURES / "cases"
-ERROR, EXTENDED = 0x20000000, 0x80000000
+ERROR, REMOTE, EXTENDED = 0x20000000, 0x40000000, 0x80000000
 ROUNDS = 60  # of Motor Data, at 10 Hz
 
 
@@ -141,10 +141,15 @@ def test_buses_of_captures_of_others():
     assert done.returncode == 20  # a filter of messages hides no bus off
 
 
+# Error frames in ASC: of CAN, with an error code, and of CAN FD, with the frame in which it came.
+IN_ASC = ["1  ErrorFrame", "1  ErrorFrame\tECC: 10100010", "CANFD   1 Tx   ErrorFrame Not Acknowledge error, dominant error flag   fffe c7 31ca",
+          "CANFD   1 Rx   ErrorFrame Stuff Error          fffe 82     20aa Data 104       f6  1 0 5 5 19 85 fd df ff    81328       1b 98000000"]
+
+
 def test_asc(folder):
     """Its error frames have no class; the states of a controller have lines of their own."""
     path = folder / "errors.asc"
-    lines = [f" {0.1 * at:.6f} 1  {'ErrorFrame' if at % 5 == 2 else '123             Rx   d 1 01'}" for at in range(20)]
+    lines = [f" {0.1 * at:.6f} {IN_ASC[at // 5] if at % 5 == 2 else '1  123             Rx   d 1 01'}" for at in range(20)]
     path.write_text("date Tue Nov 14 22:13:20.000 2023\nbase hex  timestamps absolute\n" + "\n".join(lines) + "\n")
     rows = said(path, "-z", "yapp,buses,json", "-z", "yapp,check,json,bus_errors=3")
     row = next(row for row in rows if "load" in row)
@@ -158,10 +163,13 @@ def test_asc(folder):
     assert failed(rows) == {"bus_off": 1, "bus_passive": 1}
 
 
-def test_little_endian_records(folder):
-    """As a preference of Wireshark's says it."""
-    (folder / "swapped.pcap").write_bytes(capture_file.pcap(capture_file.SOCKETCAN, [(BEGIN, record(error(0, 0, "off"), "<"))]))
-    assert on_buses(said(folder / "swapped.pcap", "-o", "can.byte_swap:TRUE")) == [(None, "off", 1)]
+@pytest.mark.parametrize("order, arguments", [(">", []), ("<", ["-o", "can.byte_swap:TRUE"])])  # a preference of Wireshark's
+@pytest.mark.parametrize("flag", [0, EXTENDED, REMOTE, EXTENDED | REMOTE])
+def test_records_of_other_recorders(folder, flag, order, arguments):
+    """Also an error frame with the flag of an extended or of a remote frame is one."""
+    frame = error(0, 0, "off")
+    (folder / "run.pcap").write_bytes(capture_file.pcap(capture_file.SOCKETCAN, [(BEGIN, record(frame._replace(can_id=frame.can_id | flag), order))]))
+    assert on_buses(said(folder / "run.pcap", *arguments)) == [(None, "off", 1)]
 
 
 @pytest.mark.parametrize("link", [1, 147])  # Ethernet, DLT_USER

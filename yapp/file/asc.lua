@@ -129,7 +129,7 @@ local FORMS = {
     needs_time = true,
   },
   { --  0.002000 CANFD   1 Rx   840C000x                          1 0 d 32 FD 7F ...
-    pattern = "^[Cc][Aa][Nn][Ff][Dd]%s+(%d%d?%d?)%s+([RrTt])[Xx]%s+(%w+)%s+(.*)$",
+    pattern = "^[Cc][Aa][Nn][Ff][Dd]%s+(%d%d?%d?)%s+([RrTt])[Xx]%s+(%x+[xX]?)%s+(.*)$",
     read = read_flexible,
     like = "canfd%f[^%a]",
     needs_time = true,

@@ -40,7 +40,7 @@ end
 function M.find_unseen(packet)
   local flags, id, length, options = M.read(packet)
   if not flags or options % (2 * FDF) >= FDF then return nil end
-  if flags == M.ERROR and id < MAX_CLASS then return "error" end
+  if flags % (2 * M.ERROR) == M.ERROR and id < MAX_CLASS then return "error" end
   local size = #packet
   return length > 8 and size == 8 + length and size ~= OLD_LENGTH and "long" or nil
 end
