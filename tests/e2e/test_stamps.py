@@ -46,7 +46,7 @@ def test_no_fault_is_missed(folder, stamp):
 
 @pytest.mark.parametrize("seed", range(levels.size(3, 20)))
 def test_a_clock_that_is_set_changes_no_length(folder, seed):
-    """A flight with faults, reboots and silences: its events are the same, but for a step of the clock."""
+    """A flight with faults, reboots and silences: its events and cards are the same, but for a step of the clock."""
     rng = random.Random(f"set {seed}")
     flight = flights.make(seed, is_clean=seed % 3 == 0)
     arguments, plain, path = flight.arguments("candump"), folder / "plain.log", folder / "set.log"
@@ -58,11 +58,13 @@ def test_a_clock_that_is_set_changes_no_length(folder, seed):
                             for number, (stamp, rest) in enumerate(rows)))
 
     def read(capture, kinds):
-        _, printed, said = z(capture, "events,json", *arguments)
-        rows = [json.loads(line) for line in printed.splitlines()]
+        _, printed, said = z(capture, "events,json", "-z", "yapp,fault,json", *arguments)
+        lines = [json.loads(line) for line in printed.splitlines()]
+        rows, card = [line for line in lines if "kind" in line], next(line for line in lines if "incidents" in line)
+        seconds = [row["since"] for section in card.values() if isinstance(section, list) for row in section if "since" in row]
         times = ("time", "active", "length")
         return [{key: row[key] for key in row if key not in times} for row in rows if row["kind"] not in kinds], \
-            [row[key] for row in rows for key in times[1:] if row.get(key) and row["kind"] not in kinds], \
+            [row[key] for row in [*rows, card] for key in times[1:] if row.get(key) and row.get("kind") not in kinds] + seconds, \
             [row["length"] for row in rows if row["kind"] == "clock"], said.replace("plain.log", "set.log")
     expected, lengths, clocks, said = read(plain, ())
     found, found_lengths, found_clocks, found_said = read(path, ("clock",))
@@ -105,6 +107,22 @@ def test_a_gap_is_no_step_of_the_clock(folder):
         events = [json.loads(line) for line in printed.splitlines()]
         assert code == 0 and sorted((row["kind"], row["id"]) for row in events) == [("missing", 0x210), ("missing", 0x211)] + \
             [("silence", ident) for ident in (0, 0x210, 0x211)]
+
+
+@pytest.mark.parametrize("seed", range(levels.size(3, 20)))
+def test_a_clock_that_is_set_forward_and_back(folder, seed):
+    """Behind that, when it is as late as it was while it was ahead, a silence is one, and others are none."""
+    rng = random.Random(f"back {seed}")
+    ahead, length = rng.uniform(11, 16), rng.uniform(1, 8)
+    begin = 4 + ahead - rng.uniform(0, length)
+    sent = [row for row in controllers(2, 40) if not (begin < row[0] < begin + length and row[1][4:6] == b"\x11\2")]
+    write_packets(folder / "run.pcapng", [(at + ahead * (4 < at < 8), data) for at, data in sent], stream_captures.udp)
+    code, printed, _ = z(folder / "run.pcapng", "events,json", *MOTOR_IDS)
+    events = [json.loads(line) for line in printed.splitlines()]
+    silent = [at for at, data in sent if data[4:6] == b"\x11\2"]
+    gap = max(after - before for before, after in zip(silent, silent[1:]))
+    assert code == 0 and {(row["kind"], row["id"]) for row in events} == {("clock", None), ("missing", 0x211), ("silence", 0x211)}
+    assert [round(row["length"] - gap, 3) for row in events if row["kind"] == "silence"] == [0]
 
 
 # Coarse stamps ---------------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 -- Time stamps that are coarse, and a clock that is set forward.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local PACKET = require("yapp.base.frame_key").PACKET
 local stamps_of = require("yapp.capture.stamps")
 
 local T = {}
@@ -10,7 +11,7 @@ local T = {}
 local function add(stamps, rows)
   local list, before, clock = {}, nil, nil
   for i, row in ipairs(rows) do
-    local time = stamps:add(row[1], i, row[2] and before, before and row[2] and row[2] - clock)
+    local time = stamps:add(row[1], i * PACKET, row[2] and before, before and row[2] and row[2] - clock)
     list[i] = time or "-"
     if row[2] then before, clock = time or row[1], row[2] end
   end
@@ -21,10 +22,12 @@ function T.test_a_clock_that_is_set()
   local stamps = stamps_of.new()
   local rows = { { 0, 5 }, { 1, 6 }, { 101.5 }, { 102, 7 }, { 103, 8 }, { 103.5 } }
   lu.assertEquals(add(stamps, rows), { 0, 1, "-", 2, 3, 3.5 })
-  lu.assertEquals(stamps.sets, { { from = 1, to = 101.5, length = 100, key = 3 } })
-  lu.assertEquals({ stamps:even(101), stamps:even(101.5), stamps:are_coarse() }, { 101, 1.5, false })
+  lu.assertEquals(stamps.sets, { { middle = 51.25, to = 101.5, length = 100, number = 3 } })
+  lu.assertEquals({ stamps:even(51, 3), stamps:even(101.5, 3), stamps:are_coarse() }, { 51, 1.5, false })
+  add(stamps, { { 4 } }) -- in the first packet, for this test
+  lu.assertEquals({ stamps:even(200, 0), stamps:even(200, 1) }, { 100, 200 }) -- it was set back
   stamps:reset()
-  lu.assertEquals({ stamps.sets, stamps:even(200) }, { {}, 200 })
+  lu.assertEquals({ stamps.sets, stamps:even(200, 5) }, { {}, 200 })
 end
 
 function T.test_gaps_without_a_step()

@@ -1,12 +1,14 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The time stamps of a capture, beside the clocks of its controllers.  Stamps are coarse if one
 -- source has several messages with the same: they are those of packets, or of whole seconds.  And
--- the capture's clock may be set forward while it records.  Pure Lua.
+-- the capture's clock may be set forward while it records, and back again.  Pure Lua.
 --
 --   stamps      2.0  2.1  |  102.2  102.3       a stamp without what the clock was set forward is
 --   a source   52.0 52.1  |   52.2   52.3       even: 2.0, 2.1, 2.2, 2.3
 --
 -- Behind a gap of over 10 s, the first message with a clock tells whether the clock was set.
+
+local number_of = require("yapp.base.frame_key").number
 
 local Stamps = {}
 Stamps.__index = Stamps
@@ -27,7 +29,9 @@ end
 
 --- Forget the capture.
 function Stamps:reset()
-  self.sets = {} -- when the clock was set forward: a list of { from, to, length, key }
+  -- When the clock was set forward: a list of { middle = a time in the gap, to = the stamp behind
+  -- it, number = of its packet, length, stop = number of the packet that was set back, or nil }.
+  self.sets = {}
   self.gap = nil -- the same without a length: the latest gap, while nothing tells about it
   self.latest = nil -- stamp of the latest message
   self.equal, self.count = 0, 0 -- messages with the stamp of the one before, and all
@@ -39,23 +43,27 @@ function Stamps:are_coarse()
 end
 
 --- Return a time without what the clock was set forward before it.
--- time  seconds since the first packet, as stamped
-function Stamps:even(time)
+-- time  seconds since the first packet, as stamped; number = of the packet
+function Stamps:even(time, number)
   local even, sets = time, self.sets
   for i = 1, #sets do
-    if time >= sets[i].to then even = even - sets[i].length end
+    local set = sets[i]
+    if time > set.middle and number < (set.stop or math.huge) then even = even - set.length end
   end
   return even
 end
 
--- Judge the latest gap by a message behind it.
--- elapsed, advance  seconds of the stamps, and of the clock of its source
-local function judge_gap(self, elapsed, advance)
-  local gap, length = self.gap, elapsed - advance
-  self.gap = nil
-  if length <= MIN_SET then return end
-  gap.length = math.min(length, gap.to - gap.from)
-  table.insert(self.sets, gap)
+-- Find a gap before the next stamp, and whether the clock was set back.
+local function add_stamp(self, time, number)
+  local latest, gap = self.latest or time, self.gap
+  self.latest = time
+  if latest - time > MIN_SET then
+    for _, set in ipairs(self.sets) do set.stop = set.stop or number end
+  elseif time - latest > MIN_SET then
+    self.gap = { middle = (latest + time) / 2, to = time, number = number }
+  elseif gap and math.abs(time - gap.to) > MAX_WAIT then
+    self.gap = nil
+  end
 end
 
 --- Add the next message.
@@ -65,22 +73,19 @@ end
 -- advance  seconds of this clock since then
 -- returns  its even time, nil while nothing tells about a gap before it
 function Stamps:add(time, key, before, advance)
-  local latest, gap, even = self.latest, self.gap, self:even(time)
-  self.latest = time
-  if latest and time - latest > MIN_SET then
-    gap = { from = latest, to = time, length = nil, key = key }
-    self.gap = gap
-  elseif gap and math.abs(time - gap.to) > MAX_WAIT then
-    gap, self.gap = nil, nil
-  end
+  local number = number_of(key)
+  add_stamp(self, time, number)
+  local gap, even = self.gap, self:even(time, number)
   if before then
     self.count = self.count + 1
     if even == before and advance > 0 and advance <= MAX_ADVANCE then
       self.equal = self.equal + 1
     end
     if gap and advance > 0 then
-      judge_gap(self, even - before, advance)
-      return self:even(time)
+      gap.length, self.gap = even - before - advance, nil
+      if gap.length <= MIN_SET then return even end
+      table.insert(self.sets, gap)
+      return even - gap.length
     end
   end
   return not gap and even or nil

@@ -12,6 +12,7 @@ local last_until = require "yapp.base.frame_key".last_until
 local faults_of = require "yapp.message.faults"
 local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
+local number_of = require "yapp.base.frame_key".number
 
 local History = {}
 History.__index = History
@@ -305,6 +306,11 @@ local function read_times(source, message)
   return source.stamps:add(time, message.key, before, advance), clock
 end
 
+-- Return the time of a message without what the capture's clock was set forward before it.
+local function even_time(self, message)
+  return self.stamps:even(message.time, number_of(message.key))
+end
+
 --- Add the next message, in the order of the capture.
 -- is_only_pass  true if it is sure that it is not revisited
 -- message  { source = of message.types; raws = by index of field, nil if the payload does not fit;
@@ -342,7 +348,7 @@ function History:add(message, is_only_pass)
     change = key > source.shared_key and UNRELIABLE or update(source, message, delta, stamp, clock)
     if not time then delta = false end
   else
-    delta = source.time and self.stamps:even(message.time) - source.time or false
+    delta = source.time and even_time(self, message) - source.time or false
   end
   if not is_only_pass then self.changes[key], self.deltas[key] = change, delta end
   return change, delta
@@ -370,7 +376,7 @@ function History:state(message)
   if not source or message.status ~= "good" or key >= source.shared_key then return nil end
   local base = source.bases[last_until(source.base_keys, key)]
   local clock, commands = base and clock_of(message), source.commands
-  local time = self.stamps:even(message.time)
+  local time = even_time(self, message)
   local active_time, previous_change, next_change = source.faults:state(key, time)
   return {
     drift = clock and clock / 1e9 - time - base,

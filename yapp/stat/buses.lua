@@ -98,7 +98,7 @@ function Buses.near(event, bus_events)
   local kind = event.kind
   local is_wanted = kinds.BY_NAME[kind].hides or kind == "silence" or kind == "fault"
   local texts = mapped(event.time and is_wanted and bus_events or {}, function(one)
-    local is_near = one.source.bus == event.source.bus and kinds.is_near(event, one.time)
+    local is_near = one.source.bus == event.source.bus and kinds.is_near(event, one)
     return is_near and ("%s at %.3f s"):format(one.values.what, one.time)
   end)
   return texts[1] and "bus " .. table.concat(texts, ", ")

@@ -103,7 +103,7 @@ end
 -- Keep an event behind a fault, if its card shows it.
 local function keep(card, event)
   if event.kind ~= "message" then
-    if kinds.is_near(event, card.cause.time) then insert(card.events, event) end
+    if kinds.is_near(event, card.cause) then insert(card.events, event) end
   elseif event.source == card.cause.source and card.behind < BEHIND then
     card.behind = card.behind + 1
     insert(card.events, event)
@@ -138,8 +138,8 @@ function Fault:add_event(event)
   elseif faults and card and card.incident == faults[1].incident then
     choose(self, card, event) -- not at the first message, which comes before its faults
   end
-  if event.time - self.begun > BEFORE_FAULT then
-    self.old, self.new, self.begun = new, {}, event.time
+  if event.at - self.begun > BEFORE_FAULT then
+    self.old, self.new, self.begun = new, {}, event.at
   end
   insert(self.new, event)
 end
@@ -192,7 +192,7 @@ end
 
 -- Make a row of an event.
 local function new_row(card, event, row)
-  row.since, row.frame = output.seconds(event.time - card.cause.time), event.frame
+  row.since, row.frame = output.seconds(event.at - card.cause.at), event.frame
   row.since.text = row.since.short
   return row
 end
@@ -326,10 +326,10 @@ local function row_of(self, card, ending)
   row.flags = mapped(card.flags, event_row)
   for _, event in ipairs(card.events) do
     if event.kind == "message" then
-      local is_before = event.frame <= cause.frame and cause.time - event.time <= BEFORE_FAULT
+      local is_before = event.frame <= cause.frame and cause.at - event.at <= BEFORE_FAULT
       if is_before then insert(by_source[event.source], event) end
       if event.source == cause.source then insert(row.messages, message_row(card, event)) end
-    elseif kinds.is_near(event, cause.time) and event.values.incident ~= card.incident then
+    elseif kinds.is_near(event, cause) and event.values.incident ~= card.incident then
       insert(row.events, event_row(event))
     end
   end

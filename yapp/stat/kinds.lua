@@ -186,10 +186,10 @@ function M.new_follower(kind, cause, values)
   return event
 end
 
---- Return whether a time is within a second of an event, or of the silence that it begins.
-function M.is_near(event, time)
+--- Return whether another event is within a second of an event, or of the silence that it begins.
+function M.is_near(event, other)
   local length = event.kind == "silence" and event.values.length.json or 0
-  return time >= event.time - NEAR and time <= event.time + length + NEAR
+  return other.at >= event.at - NEAR and other.at <= event.at + length + NEAR
 end
 
 --- Return the seconds between two times of a capture, rounded to the nanosecond, so that a gap of

@@ -11,7 +11,6 @@ local dates = require "yapp.stat.dates"
 local events = require "yapp.stat.events"
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
-local number_of = require("yapp.base.frame_key").number
 local output = require "yapp.stat.output"
 
 local M = {}
@@ -80,7 +79,7 @@ local function deliver_waiting(self, is_end)
   if stamps.gap and not is_end then return end
   for i = 1, #waiting do
     local event = waiting[i]
-    if stamps.sets[1] then event.at = stamps:even(event.time) end
+    if stamps.sets[1] then event.at = stamps:even(event.time, event.frame) end
     self.events:add(event)
     waiting[i] = nil
   end
@@ -101,6 +100,7 @@ end
 -- Count an event of the whole capture, whatever the filters say.
 local function count_event(self, kind, frame, time, bus, values)
   local event = kinds.new_event(kind, frame, time, { bus = bus }, values)
+  event.at = time and self.stamps:even(time, frame)
   for _, one in ipairs(self.answers) do one:count(event) end
 end
 
@@ -177,8 +177,9 @@ local function describe(self, ending)
   -- bound: from there on.  Behind several, the stamps of recorders may alternate: nothing tells.
   function ending.length_since(event)
     if lacks_times or self.steps > 1 then return 0 end
-    local from = event.frame < step.number and step.time or event.time
-    return kinds.span(stamps:even(from), stamps:even(last))
+    local from = event.at
+    if event.frame < step.number then from = stamps:even(step.time, step.number) end
+    return kinds.span(from, stamps:even(last, self.packets))
   end
   return ending
 end
@@ -212,7 +213,7 @@ local function count_losses(self, ending)
     count_event(self, "dropped", drop.frame, time, drop.bus, { count = drop.count })
   end
   for _, set in ipairs(self.stamps.sets) do
-    count_step(self, number_of(set.key), set.to, set.length)
+    count_step(self, set.number, set.to, set.length)
   end
 end
 

@@ -142,7 +142,8 @@ local function tap_frames(self, statistic, filter)
   local stamps, frames = self.capture.stamps, self.frames
   add_tap(self, passes, function(pinfo, tvb)
     local number = pinfo.number
-    statistic:add_frame(source_of_bus(self, number, pinfo), stamps:even(pinfo.rel_ts), tvb:raw(),
+    local time = stamps:even(pinfo.rel_ts, number)
+    statistic:add_frame(source_of_bus(self, number, pinfo), time, tvb:raw(),
       frames.number == number)
   end)
 end
