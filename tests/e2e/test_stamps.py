@@ -58,10 +58,11 @@ def test_a_clock_that_is_set_changes_no_length(folder, seed):
                             for number, (stamp, rest) in enumerate(rows)))
 
     def read(capture, kinds):
-        _, printed, said = z(capture, "events,json", "-z", "yapp,fault,json", *arguments)
-        lines = [json.loads(line) for line in printed.splitlines()]
+        _, printed, said = z(capture, "events,json", "-z", "yapp,fault,json", "-z", "yapp,summary", *arguments)
+        lines = [json.loads(line) for line in printed.splitlines() if line.startswith("{")]
         rows, card = [line for line in lines if "kind" in line], next(line for line in lines if "incidents" in line)
         seconds = [row["since"] for section in card.values() if isinstance(section, list) for row in section if "since" in row]
+        seconds.append(float(re.search(r"sources in (\S+) s", printed)[1]))
         times = ("time", "active", "length")
         return [{key: row[key] for key in row if key not in times} for row in rows if row["kind"] not in kinds], \
             [row[key] for row in [*rows, card] for key in times[1:] if row.get(key) and row.get("kind") not in kinds] + seconds, \

@@ -168,7 +168,8 @@ local function describe(self, ending)
   local stamps, step, last = self.stamps, self.step, self.last or 0
   local lacks_times = explain_times(self, ending)
   ending.run, ending.events = self, self.events
-  ending.last = self.last -- seconds from the first packet to the last one, nil for none
+  ending.last = self.last -- stamp of the last packet, nil for none
+  ending.length = stamps:even(last, self.packets) -- seconds from the first packet to it
   ending.lacks_times = lacks_times -- why times mean nothing, or nil
   ending.are_coarse = lacks_times == COARSE_TIMES -- then messages recorded twice are still found
   -- Why no message was found, nil if one was:
@@ -179,7 +180,7 @@ local function describe(self, ending)
     if lacks_times or self.steps > 1 then return 0 end
     local from = event.at
     if event.frame < step.number then from = stamps:even(step.time, step.number) end
-    return kinds.span(from, stamps:even(last, self.packets))
+    return kinds.span(from, ending.length)
   end
   return ending
 end

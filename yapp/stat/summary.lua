@@ -142,7 +142,7 @@ function M:finish(ending, notes)
     end
   end
   local title = ("YAPP summary: %s in %.3f s"):format(output.count(#rows, "source"),
-    ending.last or 0)
+    ending.length)
   output.print(context, title, M.COLUMNS, rows, notes)
   if shown[1] and not context.json then
     context.out("\n")

@@ -182,7 +182,7 @@ local function print_state(self, ending, pause)
       buses = output.objects(buses.COLUMNS.json, bus_rows),
     }).json .. "\n")
   else
-    local title = TITLE:format(output.count(#rows, "source"), ending.last or 0)
+    local title = TITLE:format(output.count(#rows, "source"), ending.length)
     if pause > 1 then title = title .. PAUSE:format(pause) end
     print_tables(self, title, {
       { TABLE, rows },
