@@ -268,8 +268,8 @@ def test_shared_sources(seed):
     for line in lines:
         if line["kind"] in ("reboot", "stale", "jump", "silence", "missing") or line.get("event") in ("raised", "cleared"):
             assert line["frame"] < shared.get((line["bus"], line["id"]), 1 << 40), line
-    done = tshark.run(*flight.arguments(form), "-q", "-r", capture, "-z", "yapp,check,shared=0", check=False)
-    assert done.returncode == 20
+    done = tshark.run(*flight.arguments(form), "-q", "-r", capture, "-z", "yapp,check,shared=0", "-z", "yapp,faults", check=False)
+    assert done.returncode == 20 and "YAPP faults: UNKNOWN, " in done.stdout
 
 
 # check ---------------------------------------------------------------------------------------------------------------

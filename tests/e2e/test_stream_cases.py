@@ -158,6 +158,7 @@ def test_no_packet_has_the_greater_part_of_a_header(folder, link, length, passes
     path = written(folder, packets, link)
     done = tshark.run("-q", "-r", path, *passes, "-z", "yapp,faults", check=False)
     option = f"-d {link.__name__}.port==20001,yapp_serial"
+    assert done.stdout.startswith("YAPP faults: UNKNOWN, no message found, 0 in what was decoded\n")
     assert done.returncode == 21 and f"20 YAPP headers in this file were not decoded; try {option}" in done.stderr
     assert sum(statistics(path, *passes, *option.split())[0].values()) == 20
 

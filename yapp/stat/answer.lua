@@ -182,6 +182,7 @@ local function list_notes(self, ending)
     if not next(self.came) then reason = reason or "no message matches the filter" end
   end
   local unreliable = statistic.follows_changes and self.unreliable or NOTHING
+  ending.is_unreliable = unreliable[1]
   local problems = statistic.lists_problems and NOTHING or ending.problems
   local copied = copies > 0 and output.were(copies, "message") .. COPIED
   local hidden = self.hiding and hidden_faults_text(self, ending.events.states)
@@ -191,8 +192,8 @@ local function list_notes(self, ending)
 end
 
 --- End: all events have come.
--- ending   see Run:finish; its sources and unknown are set: how many sources came, and of how many
---          of them messages were not decoded
+-- ending   see Run:finish; these are set: sources = how many came, unknown = of how many of them
+--          messages were not decoded, is_unreliable = true if the history of one is
 -- returns  the exit code, nil for 0; a text to say, or nil; and a list of texts to say
 function Answer:finish(ending)
   count_undissected(self, ending)

@@ -106,12 +106,14 @@ end
 --- Return a number of faults as a text, and the exit code: where not all was read and decoded, none
 -- is known.
 function Lists.count_text(count, ending)
-  local why = ending.unread
+  local why = ending.unread or ending.reason and "no message found" or
+    ending.is_partial and "not all packets were decoded" or
+    ending.is_unreliable and "the history of sources is unreliable"
   if ending.unknown > 0 then
     why = ending.unknown .. " of " .. output.count(ending.sources, "source") .. " not decoded"
   end
-  return why and ("UNKNOWN, %s, %d in what was decoded"):format(why, count) or count,
-    ending.unknown > 0 and output.EXIT_UNDECIDED or nil
+  if not why then return count end
+  return ("UNKNOWN, %s, %d in what was decoded"):format(why, count), output.EXIT_UNDECIDED
 end
 
 -- Add an event to the first one of its line.

@@ -225,7 +225,8 @@ end
 --   lacks_times  true if packets have no time stamps
 --   extended     number of extended CAN frames that were not dissected
 --   problems     list of texts: wishes of the user that were not met, and why not all was read
---   unread       in short why packets were left out, nil if none were }
+--   unread       in short why packets were left out, nil if none were
+--   is_partial   true if packets were read and not decoded }
 -- returns  the exit code, and a list of texts to say
 function Run:finish(ending)
   deliver_rest(self, ending)

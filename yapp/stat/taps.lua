@@ -201,7 +201,7 @@ end
 -- End all statistics; return the exit code, and a list of texts to say.
 local function finish(self)
   local failures, unread = self.count_failures(), explain_unread(self)
-  local capture, drop = self.capture, self.refused
+  local undecoded, capture, drop = explain_undecoded(self), self.capture, self.refused
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error"))
   local refused = drop.count > 0 and REFUSED:format(output.count(drop.count, "packet"))
   local reloaded = self.total > 0 and capture:missed_file() and RELOADED
@@ -211,8 +211,9 @@ local function finish(self)
     lacks_times = not capture:has_times(),
     extended = self.frames.refused_count,
     problems = joined(self.settings.problems,
-      { failed, unread or false, reloaded, refused, explain_undecoded(self) }),
+      { failed, unread or false, reloaded, refused, undecoded }),
     unread = unread and "not all packets were read",
+    is_partial = refused or undecoded,
   }
 end
 
