@@ -161,9 +161,10 @@ local function record_of(log, line)
   return nil
 end
 
--- Return what a line without a frame is: "known"; "lost", a frame before it was damaged; or
--- "doubtful".
+-- Return what a line without a frame is: "known"; "lost", a frame before it was damaged, as by the
+-- zeros that a file has where its recorder lost power; or "doubtful".
 local function kind_of(format, line)
+  if find(line, "\0", 1, true) then return "lost" end
   line = line:lower()
   for _, pattern in ipairs(format.known) do
     if find(line, pattern) then return "known" end
