@@ -22,12 +22,18 @@ function T.test_a_clock_that_is_set()
   local stamps = stamps_of.new()
   local rows = { { 0, 5 }, { 1, 6 }, { 101.5 }, { 102, 7 }, { 103, 8 }, { 103.5 } }
   lu.assertEquals(add(stamps, rows), { 0, 1, "-", 2, 3, 3.5 })
-  lu.assertEquals(stamps.sets, { { middle = 51.25, to = 101.5, length = 100, number = 3 } })
-  lu.assertEquals({ stamps:even(51, 3), stamps:even(101.5, 3), stamps:are_coarse() }, { 51, 1.5, false })
-  add(stamps, { { 4 } }) -- in the first packet, for this test
-  lu.assertEquals({ stamps:even(200, 0), stamps:even(200, 1) }, { 100, 200 }) -- it was set back
+  lu.assertEquals(stamps.sets, { { to = 101.5, length = 100, number = 3 } })
+  lu.assertEquals({ stamps:even(101, 2), stamps:even(101.5, 3), stamps:are_coarse() }, { 101, 1.5, false })
   stamps:reset()
   lu.assertEquals({ stamps.sets, stamps:even(200, 5) }, { {}, 200 })
+end
+
+-- To what it was, or less: then it is still ahead, and no length contains that.
+function T.test_a_clock_that_is_set_back()
+  for back, even in pairs { [3] = 3, [53] = -47 } do
+    local rows = { { 0, 5 }, { 1, 6 }, { 102, 7 }, { back, 8 }, { back + 1, 9 } }
+    lu.assertEquals(add(stamps_of.new(), rows), { 0, 1, 2, even, even + 1 })
+  end
 end
 
 function T.test_gaps_without_a_step()

@@ -14,7 +14,7 @@ local Stamps = {}
 Stamps.__index = Stamps
 
 local MIN_SET = 10 -- seconds
-local MAX_WAIT = 2 -- seconds behind a gap, for a message with a clock
+local MAX_WAIT = 2 -- seconds behind a gap or a step back, for a message
 local MAX_ADVANCE = 1 -- seconds between messages with one stamp; other controllers may be further
 -- Of so many messages behind each other one may have the stamp of the one before: TCP hands on
 -- messages together if a segment came late.
@@ -29,8 +29,8 @@ end
 
 --- Forget the capture.
 function Stamps:reset()
-  -- When the clock was set forward: a list of { middle = a time in the gap, to = the stamp behind
-  -- it, number = of its packet, length, stop = number of the packet that was set back, or nil }.
+  -- When the clock was set forward: a list of { to = the stamp behind that, number = of its packet,
+  -- length, stop = number of the packet behind which the clock was set back, or nil }.
   self.sets = {}
   self.gap = nil -- the same without a length: the latest gap, while nothing tells about it
   self.latest = nil -- stamp of the latest message
@@ -48,19 +48,22 @@ function Stamps:even(time, number)
   local even, sets = time, self.sets
   for i = 1, #sets do
     local set = sets[i]
-    if time > set.middle and number < (set.stop or math.huge) then even = even - set.length end
+    local is_behind = number >= set.number and number < (set.stop or math.huge)
+    if is_behind then even = even - set.length end
   end
   return even
 end
 
--- Find a gap before the next stamp, and whether the clock was set back.
+-- Find a gap before the next stamp, and whether the clock was set back to what it was, not further
+-- ahead.
 local function add_stamp(self, time, number)
   local latest, gap = self.latest or time, self.gap
   self.latest = time
   if latest - time > MIN_SET then
-    for _, set in ipairs(self.sets) do set.stop = set.stop or number end
+    local is_undone = time - self:even(latest, number) < MAX_WAIT
+    for _, set in ipairs(is_undone and self.sets or {}) do set.stop = set.stop or number end
   elseif time - latest > MIN_SET then
-    self.gap = { middle = (latest + time) / 2, to = time, number = number }
+    self.gap = { to = time, number = number }
   elseif gap and math.abs(time - gap.to) > MAX_WAIT then
     self.gap = nil
   end
