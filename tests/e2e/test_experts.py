@@ -137,15 +137,6 @@ def test_what_is_known_on_a_later_look(name, capture, frames, severity, text):
     assert found == frames and any(re.match(rf"Expert Info \({severity}/\w+\): {re.escape(text)}$", one or "") for one in texts)
 
 
-def test_filters_find_them():
-    """And no other frames."""
-    for everything in (False, True):
-        path, options, firsts = expected.together(everything)
-        rows = [(f"{name} && frame.number > {firsts[capture]} && frame.number <= {firsts[capture] + len(make.read(capture).packets)}",
-                 [firsts[capture] + frame for frame in frames]) for name, capture, frames, *_ in EXPERTS if capture in firsts]
-        tshark.assert_found(path, rows, *options)
-
-
 # Flags -----------------------------------------------------------------------------------------------------------
 
 HELP = """return { { name = "motor", title = "Motor Data", id = 0x210, size = 32,

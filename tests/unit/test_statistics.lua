@@ -512,6 +512,11 @@ field  unit  source       min     mean  max  spread  since start/s  frame
 volts  V     left          10  73.6667  200     188       0.350000      5
              can1" 0x210   12    105.5  199
 ]])
+  for i, source in ipairs { HEALTHY, { bus_key = 2, bus = "can1", id = 0x200, type = HEALTH } } do
+    records[6 + i] = record(6 + i, i, { source = source, payload = ("\0"):rep(8) })
+  end
+  lu.assertStrMatches(run({ "compare" }, records, { hint = "said once" }),
+    "YAPP compare: 2 sources of Health\nsaid once\n\nYAPP compare: 2 sources of Motor Data\n\n.*")
   lu.assertEquals(run({ "compare" }, { record(1, 0) }), "YAPP compare: no message has several sources\n")
 end
 
@@ -731,6 +736,25 @@ function T.test_messages_that_were_not_decoded()
   local events = lines((run({ "events,json" }, records)))
   lu.assertEquals({ #events, events[4]:match('"like":"motor"') }, { 4, '"like":"motor"' })
   lu.assertStrContains(said({ records[3], records[4] })[2], "2 messages were not decoded: can1 0x211 (11 bytes each, the")
+end
+
+function T.test_messages_that_are_not_dissected()
+  local function odd(frame) return record(frame, 1, { kind = "undissected", source = ODD, values = { size = 11 }, fits = false }) end
+  lu.assertEquals(verdicts("unknown=0", { record(1, 0), odd(2) })[1], "unknown=0 null false 1 2")
+  lu.assertEquals(verdicts("unknown=0", { record(1, 0), odd(2) }, { matches = { [1] = true } })[1], "unknown=0 null true 0 null")
+  local printed, code = run({ "check" }, { odd(1) }, { extended = 5 })
+  lu.assertEquals(code, 21)
+  lu.assertStrContains(lines(printed)[3], "1 message was not decoded: can0 0x300 (11 bytes, the size of Motor Data). Try")
+end
+
+-- A message that was recorded twice counts once; the answer says it.
+function T.test_copies()
+  local function copy(frame, of) return record(frame, frame / 1000, { kind = "copies", values = { of = of } }) end
+  local records = { record(1, 0), copy(2, 1), record(3, 0.003), copy(4, 3), copy(5, 3) }
+  local twice = "2 messages were recorded twice; each counts once"
+  for _, what in ipairs(IN_TEXT) do lu.assertStrContains(run({ what }, records), twice) end
+  lu.assertEquals(verdicts("copies=2,copies=3", records), { "copies=2 left false 3 2", "copies=3 left true 3 2",
+    "unknown=0 null true 0 null" })
 end
 
 function T.test_messages_that_may_hide_faults()
