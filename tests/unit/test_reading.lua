@@ -93,6 +93,15 @@ local function assert_named(result)
   end
 end
 
+function T.test_a_new_record_says_nothing()
+  for _, record in ipairs { records.new_can_frame(), records.new_result() } do
+    for key, value in pairs(record) do
+      local nothing = key == "is_bus_known" and true or key == "status" and "good" or false
+      lu.assertTrue(value == nothing or value == 0 or value == "", key)
+    end
+  end
+end
+
 -- Add a CAN frame, or recall it.
 -- with  { number, time, visited, bus, is_bus_known, accepts_all, reported, is_only_pass }; by default it is the next
 --       packet, 1 ms behind the one before

@@ -74,15 +74,6 @@ can1"  0x210          Motor Data  volts  V      10    10   10      1
   lu.assertStrContains(run({ "summary" }, { record(1, 0) }), "volts  V      10    10   10      1\n") -- of one source
 end
 
--- What rests on what came before a message cannot be told where that is not known.
-function T.test_what_rests_on_what_came_before()
-  local records = { record(1, 0), record(2, 0.1, { is_unreliable = true }) }
-  local needs_none = { ["compare,json"] = true, ["csv,-,motor"] = true, ["buses,json"] = true }
-  for _, what in ipairs(AS_DATA) do
-    lu.assertEquals(select(2, run({ what }, records)), needs_none[what] and 0 or 21, what)
-  end
-end
-
 -- Random events of random sources, added up by a model; the rows are sorted by bus, then by ID.
 function T.test_random_summaries()
   local stream = { bus_key = 3, bus = "tty" }
