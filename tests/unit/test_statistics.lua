@@ -729,6 +729,28 @@ function T.test_messages_that_were_not_decoded()
   lu.assertStrContains(said({ records[3], records[4] })[2], "2 messages were not decoded: can1 0x211 (11 bytes each, the")
 end
 
+function T.test_what_an_answer_leaves_out()
+  local good = { record(1, 5), record(2, 3, { source = RIGHT }) }
+  local _, code, texts = run({ "summary" }, good, { problem = "own.lua was not read" })
+  lu.assertEquals({ code, texts[1] }, { 21, "own.lua was not read" })
+  local step = "time stamps went back %s: what lasted meanwhile seems too short"
+  local printed = run({ "faults" }, { good[1], good[2], unknown(3, "can0", 0x300, 11) })
+  lu.assertEquals({ lines(printed)[1], lines(printed)[2] },
+    { "YAPP faults: UNKNOWN, 1 of 3 sources not decoded, 0 in what was decoded", step:format("1 time") })
+  good[3] = record(3, 1)
+  lu.assertEquals(lines(run({ "summary" }, good))[2],
+    step:format("2 times") .. ", and who is silent at the end is not known")
+end
+
+-- In the order of their sources' latest messages.
+function T.test_faults_that_are_active()
+  local records = { record(1, 1, { change = raised(1, 1) }), record(2, 2, { change = raised(1, 1), source = RIGHT }),
+    record(3, 3, { source = RIGHT }), record(4, 4) }
+  local active = found("faults,json", '"active","active"', records)
+  lu.assertEquals(active, { '{,"field":"fault_flags","flag":"hot","event":"active","active":1.000000000,"help":null}',
+    '{,"field":"fault_flags","flag":"hot","event":"active","active":3.000000000,"help":null}' })
+end
+
 function T.test_messages_that_are_not_dissected()
   local function odd(frame) return record(frame, 1, { kind = "undissected", source = ODD, values = { size = 11 }, fits = false }) end
   lu.assertEquals(verdicts("unknown=0", { record(1, 0), odd(2) })[1], "unknown=0 null false 1 2")
@@ -762,6 +784,9 @@ function T.test_messages_that_may_hide_faults()
     lu.assertNotStrContains(run({ what }, records), "hide")
   end
   lu.assertEquals(said { record(1, 0) }, { title })
+  lu.assertEquals(said { record(1, 0), record(2, 1, { change = { late = 1 } }) }, -- 9 at 10 Hz
+    { title, text .. "9 missing by their period, 9 of them in silences that are listed" })
+  lu.assertEquals(said { record(1, 0, { seq = 1 }), record(2, 1, { seq = 2 }) }, { title }) -- Seq No would miss them
   lu.assertEquals(said { record(1, 0), bad(2, 0.1, { source = HEALTHY, payload = ("\0"):rep(8) }) }, { title })
   -- of a message that is not known, nobody knows
   lu.assertEquals(said { record(1, 0), bad(2, 0.1, { source = ODD, fits = false }) }, { title, text .. "1 with a bad CRC" })
