@@ -71,6 +71,13 @@ function T.test_the_first_message_has_nothing_but_its_clock()
   lu.assertNil(h:add { source = {}, seq = 0, key = 3, time = 1, status = "bad", payload = "" })
 end
 
+function T.test_a_clock_that_is_set_between_a_message_and_its_copy()
+  local messages = { motor(1, 0), motor(2, 0.1), motor(3, 100.1, { clock = 0.1 }), motor(4, 100.2, { clock = 0.2 }) }
+  lu.assertEquals(run(messages, "stale"), { "-", "-", "-", "-" })
+  messages[4] = motor(4, 102.2, { clock = 0.1 }) -- it stands still
+  lu.assertEquals(run(messages, "stale"), { "-", "-", "-", true })
+end
+
 -- Two logs one behind the other, the later one first: the capture goes back by what the clock does.
 function T.test_a_capture_out_of_order_is_no_reboot()
   local function reboots(...)

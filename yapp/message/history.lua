@@ -166,7 +166,8 @@ local function clock_change(source, time, clock)
     return "shared", true
   end
   if advance < 0 then return "reboot", -advance end
-  if advance == 0 then return "stale", true end
+  -- Behind a gap, one without an advance may be a copy: the capture's clock was set between both.
+  if advance == 0 then return not source.stamps.gap and "stale", true end
   local jump = advance - elapsed
   if jump > MAX_JUMP and elapsed >= 0 and source.has_clock then return "jump", jump end
 end
