@@ -22,7 +22,7 @@ function T.test_a_clock_that_is_set()
   local stamps = stamps_of.new()
   local rows = { { 0, 5 }, { 1, 6 }, { 101.5 }, { 102, 7 }, { 103, 8 }, { 103.5 } }
   lu.assertEquals(add(stamps, rows), { 0, 1, "-", 2, 3, 3.5 })
-  lu.assertEquals(stamps.sets, { { to = 101.5, length = 100, number = 3 } })
+  lu.assertEquals(stamps.sets, { { to = 101.5, length = 100, number = 3, stop = math.huge } })
   lu.assertEquals({ stamps:even(101, 2), stamps:even(101.5, 3), stamps:are_coarse() }, { 101, 1.5, false })
   stamps:reset()
   lu.assertEquals({ stamps.sets, stamps:even(200, 5) }, { {}, 200 })

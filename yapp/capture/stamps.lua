@@ -30,7 +30,7 @@ end
 --- Forget the capture.
 function Stamps:reset()
   -- When the clock was set forward: a list of { to = the stamp behind that, number = of its packet,
-  -- length, stop = number of the packet behind which the clock was set back, or nil }.
+  -- length, stop = number of the last packet before the clock was set back, or math.huge }.
   self.sets = {}
   self.gap = nil -- the same without a length: the latest gap, while nothing tells about it
   self.latest = nil -- stamp of the latest message
@@ -43,13 +43,13 @@ function Stamps:are_coarse()
 end
 
 --- Return a time without what the clock was set forward before it.
--- time  seconds since the first packet, as stamped; number = of the packet
+-- time    seconds since the first packet, as stamped
+-- number  of the packet; math.huge for the next one
 function Stamps:even(time, number)
   local even, sets = time, self.sets
   for i = 1, #sets do
     local set = sets[i]
-    local is_behind = number >= set.number and number < (set.stop or math.huge)
-    if is_behind then even = even - set.length end
+    if number >= set.number and number <= set.stop then even = even - set.length end
   end
   return even
 end
@@ -61,9 +61,11 @@ local function add_stamp(self, time, number)
   self.latest = time
   if latest - time > MIN_SET then
     local is_undone = time - self:even(latest, number) < MAX_WAIT
-    for _, set in ipairs(is_undone and self.sets or {}) do set.stop = set.stop or number end
+    for _, set in ipairs(is_undone and self.sets or {}) do
+      set.stop = math.min(set.stop, number - 1)
+    end
   elseif time - latest > MIN_SET then
-    self.gap = { to = time, number = number }
+    self.gap = { to = time, number = number, stop = math.huge }
   elseif gap and math.abs(time - gap.to) > MAX_WAIT then
     self.gap = nil
   end
@@ -76,9 +78,8 @@ end
 -- advance  seconds of this clock since then
 -- returns  its even time, nil while nothing tells about a gap before it
 function Stamps:add(time, key, before, advance)
-  local number = number_of(key)
-  add_stamp(self, time, number)
-  local gap, even = self.gap, self:even(time, number)
+  add_stamp(self, time, number_of(key))
+  local gap, even = self.gap, self:even(time, math.huge)
   if before then
     self.count = self.count + 1
     if even == before and advance > 0 and advance <= MAX_ADVANCE then

@@ -307,11 +307,6 @@ local function read_times(source, message)
   return source.stamps:add(time, message.key, before, advance), clock
 end
 
--- Return the time of a message without what the capture's clock was set forward before it.
-local function even_time(self, message)
-  return self.stamps:even(message.time, number_of(message.key))
-end
-
 --- Add the next message, in the order of the capture.
 -- is_only_pass  true if it is sure that it is not revisited
 -- message  { source = of message.types; raws = by index of field, nil if the payload does not fit;
@@ -349,7 +344,7 @@ function History:add(message, is_only_pass)
     change = key > source.shared_key and UNRELIABLE or update(source, message, delta, stamp, clock)
     if not time then delta = false end
   else
-    delta = source.time and even_time(self, message) - source.time or false
+    delta = source.time and self.stamps:even(message.time, huge) - source.time or false
   end
   if not is_only_pass then self.changes[key], self.deltas[key] = change, delta end
   return change, delta
@@ -377,7 +372,7 @@ function History:state(message)
   if not source or message.status ~= "good" or key >= source.shared_key then return nil end
   local base = source.bases[last_until(source.base_keys, key)]
   local clock, commands = base and clock_of(message), source.commands
-  local time = even_time(self, message)
+  local time = self.stamps:even(message.time, number_of(message.key))
   local active_time, previous_change, next_change = source.faults:state(key, time)
   return {
     drift = clock and clock / 1e9 - time - base,
