@@ -82,12 +82,14 @@ def test_csv_that_lost_its_buses(folder):
     assert "shared" in kinds and not kinds & {"incomplete", "crc", "unfinished"}
 
 
-def test_any_csv(folder):
+@pytest.mark.parametrize("trigger", [0, 1_700_000_001])
+def test_any_csv(folder, trigger):
+    """Also of an oscilloscope, whose times before the trigger are negative."""
     lines = ["time,id,data"]
     for line in (CASES / "c06_fd_single_hash.log").read_text().splitlines():
         time, _, frame = line.split()
         ident, data = frame.split("#")
-        lines.append(f"{time[1:-1]}, 0x{int(ident, 16):x}, {bytes.fromhex(data).hex(' ')}")
+        lines.append(f"{float(time[1:-1]) - trigger:.6f}, 0x{int(ident, 16):x}, {bytes.fromhex(data).hex(' ')}")
     (folder / "run.csv").write_text("\r\n".join(lines), newline="")
     run(folder, *commands("Any other CSV"))
     assert motor_count(folder / "run.log") == 12
