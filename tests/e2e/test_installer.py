@@ -265,7 +265,7 @@ def test_the_readme_of_the_zip(home, folder, zips):
 def test_one_version():
     """In all places."""
     version = tshark.plugin_version()
-    places = {"tools/pyproject.toml": r'^version = "(.*)"', "extcap/yapp_extcap.py": r'^VERSION = "(.*)"',
+    places = {"tools/src/yapp_tables/__init__.py": r'^__version__ = "(.*)"', "extcap/yapp_extcap.py": r'^VERSION = "(.*)"',
               "CHANGELOG.md": r"^## \[(.*?)\]", "action.yml": r"@v(.*)$", "ci/gitlab-yapp.yml": r"YAPP_VERSION: v(.*)$",
               "docs/ci.md": r"@v(.*)$", "docs/tables.md": r"yapp_tables-([\d.]+)-", "tools/README.md": r"yapp_tables-([\d.]+)-"}
     for name, pattern in places.items():

@@ -110,7 +110,7 @@ def test_a_full_disk_is_a_sentence_and_leaves_no_half_file(make_capture, yapp_ta
         (["none*.pcap", "--to", "csv", "--out", "data"], 2, "no file matches none*.pcap"),
         (["none.pcap", "--to", "csv", "--out", "data"], 1, "no such file"),
         (["flight.pcap", "--to", "csv", "--out", "flight.pcap"], 2, "cannot be written"),
-        (["flight.pcap", "--to", "xls", "--out", "data"], 2, "invalid choice"),
+        (["flight.pcap", "--to", "xls", "--out", "data"], 2, "known kinds: parquet, csv"),
         (["flight.pcap", "--to", "csv", "--out", "data", "--plugin", "none.lua"], 2, "no plugin at"),
         (["flight.pcap", "--to", "csv", "--out", "nosuch://bucket/data"], 2, "nosuch"),
         (["flight.pcap", "--to", "csv", "--out", "s3://bucket"], 2, "names no folder"),

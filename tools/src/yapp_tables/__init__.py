@@ -4,16 +4,27 @@
 `how` are the keywords of Tshark.
 """
 
-from importlib.metadata import version
+import importlib
+from typing import TYPE_CHECKING, Any
 
-from .convert import convert, convert_one
-from .dataset import Result
-from .errors import CaptureError, SetupError, YappError
-from .flight import Flight, read
-from .report import report
-from .tshark import Tshark
+if TYPE_CHECKING:
+    from .conversion import convert, convert_one
+    from .dataset import Result
+    from .errors import CaptureError, SetupError, YappError
+    from .flight import Flight, read
+    from .report_page import report
+    from .tshark import Tshark
 
-__version__ = version("yapp-tables")
+__version__ = "3.0.0"
 __all__ = [
     "CaptureError", "Flight", "Result", "SetupError", "Tshark", "YappError", "convert", "convert_one", "read", "report",
 ]  # fmt: skip
+MODULES = ("errors", "tshark", "dataset", "flight", "conversion", "report_page")
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for: numpy and Arrow take 0.3 s, and `yapp-tables install` needs neither."""
+    if name in __all__:
+        modules = (importlib.import_module(f".{module}", __name__) for module in MODULES)
+        return next(getattr(module, name) for module in modules if hasattr(module, name))
+    raise AttributeError(f"module {__name__} has no attribute {name}")

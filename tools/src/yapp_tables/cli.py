@@ -3,14 +3,14 @@
 
 import argparse
 import logging
+import os
 import sys
 from collections.abc import Iterable, Sequence
-from importlib.abc import MetaPathFinder
 from pathlib import Path
 from types import ModuleType
 
+# Each command imports its own: Arrow and numpy take longer than most of the rest.
 from . import __version__, install
-from .convert import KINDS, convert, find
 from .errors import SetupError, YappError, count_of
 from .scratch import write_whole
 from .tshark import Tshark
@@ -37,6 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 all done, 1 a capture failed, 2 nothing could be done, 3 done, but not all that looks like YAPP was decoded.
     """
     given = _parser().parse_args(arguments)
+    # Matrices are small here: threads for them cost 0.1 s of CPU at the start.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         code: int = given.run(given)
         return code
@@ -63,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
     how.add_argument("--tshark", metavar="PATH", help="the program, where it is not in PATH")
 
     convert = commands.add_parser("convert", parents=[how], help="write captures as a data set")
-    convert.add_argument("--to", choices=KINDS, default="parquet", help="what to write, Parquet if nothing is said")
+    convert.add_argument("--to", default="parquet", metavar="KIND", help="parquet, csv, delta, mf4 or mcap")
     convert.add_argument("--out", required=True, metavar="FOLDER", help="of the data set; or a URL, s3://bucket/folder")
     convert.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="work on this Dask cluster")
     convert.add_argument("--jobs", type=_positive, metavar="N", help="captures at a time on this machine")
@@ -140,7 +142,7 @@ def _tshark(given: argparse.Namespace) -> Tshark:
     return Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile, bitrate)
 
 
-class _NoPandas(MetaPathFinder):
+class _NoPandas:
     """Arrow imports pandas where it is installed, which takes as long as a flight of half an hour, and needs none."""
 
     def find_spec(self, name: str, *_: object) -> None:
@@ -150,6 +152,8 @@ class _NoPandas(MetaPathFinder):
 
 
 def _convert(given: argparse.Namespace) -> int:
+    from .conversion import convert
+
     # The process is this command's own. What Dask has to say of lost workers it mends itself.
     logging.disable(logging.CRITICAL)
     if given.to != "mf4":
@@ -172,7 +176,7 @@ def _convert(given: argparse.Namespace) -> int:
 
 
 def _report(given: argparse.Namespace) -> int:
-    from .report import write_page  # each command has libraries of its own
+    from .report_page import write_page
 
     _, flight = write_page(Path(given.capture), given.out, _rules(given), _tshark(given))
     _say(f"{flight.name}: {text}" for text in flight.left_out)
@@ -180,7 +184,7 @@ def _report(given: argparse.Namespace) -> int:
 
 
 def _case(given: argparse.Namespace) -> int:
-    from .report import write_case
+    from .report_page import write_case
 
     print(f"{given.out}: {write_case(Path(given.capture), given.number, _tshark(given), Path(given.out))}")
     return 0
@@ -188,6 +192,7 @@ def _case(given: argparse.Namespace) -> int:
 
 def _diff(given: argparse.Namespace) -> int:
     from . import diff
+    from .conversion import find
 
     found = diff.compare(find(given.before), find(given.after), _tshark(given), _rules(given))
     if given.junit:
@@ -212,6 +217,7 @@ def _print(given: argparse.Namespace, module: ModuleType, found: object) -> None
 
 def _baseline(given: argparse.Namespace) -> int:
     from . import baseline
+    from .conversion import find
 
     captures = find(given.captures)
     text, left = baseline.learn(captures, _tshark(given))

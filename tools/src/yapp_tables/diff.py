@@ -12,11 +12,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from tqdm import tqdm
 
 from . import pages
 from .changes import BLOCK, LEAST_BLOCKS, Change, Following, Load, change, comparable, dependent, more_often, responses
-from .errors import count_of
+from .errors import count_of, progress
 from .flight import Flight, read_flight
 from .incidents import events_of
 from .series import APART, DEGREES, Array, Samples, joined, samples, source_name
@@ -168,7 +167,7 @@ def compare(before: Sequence[Path], after: Sequence[Path], tshark: Tshark, rules
 
 def _read(name: str, captures: Sequence[Path], tshark: Tshark, rules: str) -> Run:
     found, run = [], Run(name)
-    for number, capture in enumerate(tqdm(captures, desc=name, unit="flight", disable=None, leave=False)):
+    for number, capture in enumerate(progress(captures, unit=" flights", desc=name)):
         flight = read_flight(capture, tshark, has_begin=True)
         start, own = flight.start(), samples(flight, number, flight.start())
         run.flights.append(flight)

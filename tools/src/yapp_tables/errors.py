@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What can go wrong, each as a sentence for the person at the keyboard."""
+"""What the person at the keyboard is told: errors, each as a sentence, counts, and the progress of long work."""
 
 import importlib
+import sys
+from collections.abc import Iterable
 from types import ModuleType
+from typing import Any
 
 
 class YappError(Exception):
@@ -20,6 +23,11 @@ class CaptureError(YappError):
 def count_of(number: int, noun: str) -> str:
     """Return "1 flight", "2,000 flights"."""
     return f"{number:,} {noun}{'s' * (number != 1)}"
+
+
+def progress(work: Iterable[Any], **how: Any) -> Iterable[Any]:
+    """Return the same work, with a bar in a terminal. how: keywords of tqdm."""
+    return importlib.import_module("tqdm").tqdm(work, leave=False, **how) if sys.stderr.isatty() else work
 
 
 def need(module: str, extra: str) -> ModuleType:

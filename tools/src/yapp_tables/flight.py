@@ -5,13 +5,13 @@ import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from . import __version__
 from .dataset import StrPath, flight_id
 from .errors import CaptureError, count_of
 from .incidents import faults_in
@@ -131,7 +131,7 @@ class Flight(Mapping[str, pa.Table]):
             "start": start if start >= YEAR_2000 else None,
             "length": (last - start) / 1e9 - sum(steps),
             "plugin": self.plugin,
-            "tools": version("yapp-tables"),
+            "tools": __version__,
             "options": " ".join(options),
             "messages": sum(map(len, self.values())),
             "faults": faults_in(self.events),

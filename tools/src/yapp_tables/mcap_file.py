@@ -2,13 +2,13 @@
 """MCAP: one file a capture, a topic for each source (`/motor/can0/0x210`), messages and their schemas as JSON."""
 
 import json
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 from mcap.writer import Writer
 
+from . import __version__
 from .tables import TIME, said
 from .writers import Tables, begin, by_source, in_seconds, times_of
 
@@ -21,7 +21,7 @@ def write_mcap(tables: Tables, path: Path, *_: str) -> None:
     start = begin(tables.values())
     with path.with_name(f"{path.name}.mcap").open("wb") as file:
         writer: Any = Writer(file)
-        writer.start(library=f"yapp-tables {version('yapp-tables')}")
+        writer.start(library=f"yapp-tables {__version__}")
         for name, rows in tables.items():
             _write(writer, name, rows, start)
         writer.finish()

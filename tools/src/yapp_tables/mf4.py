@@ -3,7 +3,6 @@
 
 import json
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -13,6 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from asammdf import MDF, Signal
 
+from . import __version__
 from .tables import HEAD, TIME, is_message, said
 from .writers import Tables, begin, by_source, in_seconds, times_of
 
@@ -26,7 +26,7 @@ def write_mf4(tables: Tables, path: Path, _: str, flight: str) -> None:
     start = begin(tables.values()) // NANOSECONDS
     with MDF(version="4.10", temporary_folder=str(path.parent.parent)) as mdf:
         mdf.header.start_time = datetime.fromtimestamp(start, UTC)
-        mdf.header.comment = f"flight {flight}, yapp-tables {version('yapp-tables')}"
+        mdf.header.comment = f"flight {flight}, yapp-tables {__version__}"
         for name, rows in tables.items():
             _append(mdf, name, rows, start)
         mdf.save(path.with_name(f"{path.name}.mf4"), compression=2, overwrite=True)

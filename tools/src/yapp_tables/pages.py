@@ -3,7 +3,7 @@
 
 import html
 from collections.abc import Iterable, Sequence
-from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from .series import Array
 
 def page(title: str, parts: Iterable[str]) -> str:
     """Return a page that opens offline and asks the network for nothing."""
-    template = files(__package__).joinpath("page.html").read_text(encoding="utf-8")
+    template = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
     return template.replace("/*TITLE*/", html.escape(title)).replace("/*PARTS*/", "\n".join(parts))
 
 

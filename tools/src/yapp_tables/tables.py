@@ -9,7 +9,6 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from decimal import Decimal
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,7 @@ TYPES = {"time": TIME, "id": pa.uint32(), "integer": pa.int64(), "number": pa.fl
 TYPES |= {"boolean": pa.bool_(), "string": KIND, "text": pa.string(), "byte": pa.uint8()}
 # Columns that this package adds, described as fields.json describes those of the plugin. head: the first columns of
 # every message; the CSV has no source_file, controller and flight_id.
-OWN: dict[str, list[Record]] = json.loads(files(__package__).joinpath("tables.json").read_text(encoding="utf-8"))
+OWN: dict[str, list[Record]] = json.loads(Path(__file__).with_name("tables.json").read_text(encoding="utf-8"))
 HEAD = {each["name"]: TYPES[each["type"]] for each in OWN["head"]}
 TABLES = ("events", "faults", "summary", "buses", "steps", "points", "flights")
 # The types of fields.json that need no second look, and their roles.  A time is the controller's own clock.

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from tqdm import tqdm
 
 from . import pages
 from .changes import Following, Load, comparable, dependent, responses, slope
-from .errors import SetupError, count_of
+from .errors import SetupError, count_of, progress
 from .series import Array, Samples, samples
 from .tables import SCHEMA, is_message, said
 from .tshark import Record
@@ -79,7 +78,7 @@ def _flights(data: Path) -> Iterator[tuple[str, dict[tuple[str, str], Samples], 
     if not flights:
         again = f"yapp-tables convert CAPTURES --to parquet --out {data}"
         raise SetupError(f"{data} is no data set of Parquet files: {again}")
-    for start, name, file in tqdm(sorted(flights), unit="flight", disable=None):
+    for start, name, file in progress(sorted(flights), unit=" flights"):
         paths = [folder / file for folder in data.glob("message=*") if (folder / file).is_file()]
         tables = {path.parent.name.removeprefix("message="): pq.read_table(path, partitioning=None) for path in paths}
         messages = {message: rows for message, rows in tables.items() if is_message(rows) and len(rows)}

@@ -9,8 +9,6 @@ import zipfile
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from decimal import Decimal
-from importlib.metadata import version
-from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from . import __version__
 from .dataset import StrPath
 from .differs import Limits
 from .errors import CaptureError, SetupError, need
@@ -117,7 +116,7 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
     for row in (row for row in rows if row["kind"] == "fault"):
         bands.setdefault(pictures.sources[row["number"]]["controller"], []).append((row["begin"], row["stop"]))
     count = len({source["controller"] for source in pictures.sources if not source["is_command"]})
-    about = [["plugin", flight.plugin], ["yapp-tables", version("yapp-tables")], ["catalogue", flight.catalogue]]
+    about = [["plugin", flight.plugin], ["yapp-tables", __version__], ["catalogue", flight.catalogue]]
     for row in flight.buses.to_pylist():
         text = f"{row['frames']:,} frames, {row['yapp']:,} of YAPP, load {row['load'] or 0:.1%}"
         errors = json.loads(row["other"])["errors"].items()
@@ -142,7 +141,7 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
         "clouds": pictures.clouds,
         "lanes": _lanes(rows),
     }  # fmt: skip
-    package = files(__package__)
+    package = Path(__file__).parent
     parts = head(data) | {
         "/*MATRIX*/": matrix.html(),
         "/*MULTIPLES*/": matrix.multiples(length, bands, named),
@@ -262,7 +261,7 @@ def write_case(capture: Path, number: int, tshark: Tshark, out: Path) -> str:
         "case": f"fault {number} of {capture.name}: {about}",
         "capture": f"{capture.name}, SHA-256 {flight.flight_id}...",
         "plugin": flight.plugin,
-        "yapp-tables": version("yapp-tables"),
+        "yapp-tables": __version__,
         "tshark": ask(tshark.find(), "--version")[0].splitlines()[0],
         "catalogue": flight.catalogue,
         "options": " ".join(tshark.options) or "none",

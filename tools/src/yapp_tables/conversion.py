@@ -15,10 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from tqdm import tqdm
-
 from .dataset import DataSet, Result, StrPath, flight_id
-from .errors import SetupError, YappError, need
+from .errors import SetupError, YappError, need, progress
 from .flight import Flight
 from .tables import catalogue_version
 from .tshark import Record, Tshark, check_file
@@ -117,7 +115,7 @@ def _run(captures: Sequence[Path], task: Callable[[Path], Result], pool: Executo
     largest = sorted(captures, key=lambda capture: capture.stat().st_size if capture.exists() else 0, reverse=True)
     waiting = {pool.submit(task, capture): capture for capture in largest}
     done: dict[Path, Result] = {}
-    for future in tqdm(as_completed(waiting), total=len(waiting), unit=" captures", disable=None):
+    for future in progress(as_completed(waiting), unit=" captures", total=len(waiting)):
         capture = waiting[future]
         if future.cancelled():
             raise SetupError("the Dask scheduler went away; the same command does the rest")
