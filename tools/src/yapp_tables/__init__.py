@@ -8,8 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .conversion import convert, convert_one
-    from .dataset import Result
+    from .dataset import Result, convert, convert_one
     from .errors import CaptureError, SetupError, YappError
     from .flight import Flight, read
     from .report_page import report
@@ -19,7 +18,7 @@ __version__ = "3.0.0"
 __all__ = [
     "CaptureError", "Flight", "Result", "SetupError", "Tshark", "YappError", "convert", "convert_one", "read", "report",
 ]  # fmt: skip
-MODULES = ("errors", "tshark", "dataset", "flight", "conversion", "report_page")
+MODULES = ("errors", "tshark", "flight", "dataset", "report_page")
 
 
 def __getattr__(name: str) -> Any:

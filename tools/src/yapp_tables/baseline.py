@@ -78,10 +78,7 @@ Good = tuple[str, Export, list[tuple[str, Samples]]]  # name, and the samples of
 
 
 def learn(captures: Sequence[Path], tshark: Tshark) -> tuple[str, list[str]]:
-    """Return the text of a file of rules that all captures keep, and sentences on what they leave out.
-
-    Raises YappError.
-    """
+    """Return the text of rules that all captures keep, and sentences on what they leave out. Raises YappError."""
     folder = os.path.commonpath([capture.parent for capture in captures])
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         flights = list(pool.map(lambda capture: _read(capture, os.path.relpath(capture, folder), tshark), captures))
@@ -192,9 +189,8 @@ def _under_load(message: str, found: Found, less: Sequence[Record]) -> Iterator[
     one = found[0][1]
     torques = [name for name in one.measured("A") if "torque" in name]
     currents = [name for name in one.measured("A") if "torque" not in name]
-    pairs = [
-        (value, other, LONG) for value in currents + one.measured("W") + torques for other in (one.speed() or ())[:1]
-    ]
+    loads, speeds = currents + one.measured("W") + torques, (one.speed() or ())[:1]
+    pairs = [(value, speed, LONG) for value in loads for speed in speeds]
     pairs += [(value, other, LONG) for value in one.names("value", *DEGREES) for other in currents]
     pairs += [(row["name"], row["less"], SHORT) for row in less]
     for value, other, length in pairs:
@@ -211,10 +207,7 @@ def _having(found: Found, *names: str) -> Found:
 
 
 def held(one: Samples, values: Array, length: int, every: float, breaks: Array) -> float | None:
-    """Return the highest value that lasted for so many periods; None for no values.
-
-    breaks: true where the condition of a rule does not hold.
-    """
+    """Return the highest value that lasted for so many periods, or None; breaks: where a rule's condition fails."""
     good = np.isfinite(values)
     times, kept, part = one.times[good], values[good], _parts(one, every, breaks)[good]
     ends = np.searchsorted(times, times + length * every - 1e-6)

@@ -141,10 +141,7 @@ class Load:
         return np.column_stack([x, x**2, x**3, *(self.heat.T / unit**2 if has_heat else [])])
 
     def bins(self) -> Array:
-        """Return the number of each sample's bin, of speed and voltage; -1 where the motor stands or nothing is known.
-
-        A number is 16 times the bin of speed, plus that of voltage.
-        """
+        """Return each sample's bin, 16 * that of speed + that of voltage; -1: the motor stands, or nothing is known."""
         good = np.isfinite(self.speed) & np.isfinite(self.volts)
         if not good.any():
             return np.full(len(self.speed), -1)
@@ -163,10 +160,7 @@ class Load:
 
 
 def smoothed(times: Array, values: Array, *lengths: float) -> Array:
-    """Return the mean of the latest seconds, the older the less, for each length: (n, len(lengths)).
-
-    It begins anew with each flight.
-    """
+    """Return the mean of each flight's latest seconds, the older the less, for each length: (n, len(lengths))."""
     found = np.empty((len(times), len(lengths)))
     kept = np.exp(-np.diff(times, prepend=times[:1] - APART)[:, None] / np.maximum(lengths, 1e-6))
     state = np.full(len(lengths), next(iter(values[np.isfinite(values)]), np.nan))
@@ -178,10 +172,7 @@ def smoothed(times: Array, values: Array, *lengths: float) -> Array:
 
 
 def dependent(one: Samples) -> Iterator[tuple[str, str]]:
-    """Yield the values that depend on the load, each with its unit: A, %, or °C.
-
-    Speed is the load itself; power follows from current.
-    """
+    """Yield what depends on the load, with its unit, A, % or °C: speed is the load, power follows from current."""
     for name in one.names("value", "A", "%", *DEGREES):
         if name not in (one.speed() or ()) and not name.endswith(("_commanded", "_error")):
             yield name, "°C" if one.unit_of(name) in DEGREES else one.unit_of(name)

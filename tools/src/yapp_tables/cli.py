@@ -28,7 +28,6 @@ EXAMPLES = {
     "check": ("", "|| yapp-tables install"),
     "uninstall": ("", "--purge"),
 }
-CAPTURES = "files, folders, or patterns such as 'flights/**/*.pcapng'"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -42,12 +41,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         code: int = given.run(given)
         return code
-    except SetupError as error:
-        _say([str(error)])
-        return REFUSED
     except (YappError, OSError) as error:
         _say([str(error)])
-        return FAILED
+        return REFUSED if isinstance(error, SetupError | FileNotFoundError) else FAILED
     except KeyboardInterrupt:
         return 130
 
@@ -68,25 +64,23 @@ def _parser() -> argparse.ArgumentParser:
     convert.add_argument("--to", default="parquet", metavar="KIND", help="parquet, csv, delta, mf4 or mcap")
     convert.add_argument("--out", required=True, metavar="FOLDER", help="of the data set; or a URL, s3://bucket/folder")
     convert.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="work on this Dask cluster")
-    convert.add_argument("--jobs", type=_positive, metavar="N", help="captures at a time on this machine")
+    convert.add_argument("--jobs", type=int, metavar="N", help="captures at a time on this machine")
     convert.add_argument("--with", dest="bench", metavar="bench.csv", help="a thrust stand's log of this one capture")
 
     report = commands.add_parser("report", parents=[how], help="write a page about a capture")
     report.add_argument("--out", metavar="PAGE.html", help="the page, without it one named as the capture")
-    report.add_argument("--rules", metavar="FILE", help="rules: their ranges are limits in the pictures")
+    report.add_argument("--rules", type=Path, metavar="FILE", help="rules: their ranges are limits in the pictures")
 
     case = commands.add_parser("case", parents=[how], help="pack a fault for the vendor: frames, card, page")
-    for command in (convert, report):
-        command.add_argument("--bitrate", type=_positive, metavar="500000", help="of the CAN buses: shows their load")
     for command in (report, case):
         command.add_argument("capture", metavar="CAPTURE", help="the file")
-    case.add_argument("number", metavar="N", nargs="?", type=_positive, default=1, help="of the fault, 1 for the first")
+    case.add_argument("number", metavar="N", nargs="?", type=int, default=1, help="of the fault, 1 for the first")
     case.add_argument("--out", metavar="case.zip", required=True, help="the zip")
 
     diff = commands.add_parser("diff", parents=[how], help="compare two runs: what got worse, better, or changed")
     diff.add_argument("before", metavar="BEFORE", help="a capture, a folder of them, or a pattern in quotes")
     diff.add_argument("after", metavar="AFTER", help="the same")
-    diff.add_argument("--rules", metavar="FILE", help="rules that are judged on both, too")
+    diff.add_argument("--rules", type=Path, metavar="FILE", help="rules that are judged on both, too")
     diff.add_argument("--junit", metavar="FILE", help="write the verdict as a JUnit suite")
     diff.add_argument("--json", action="store_true", help="one JSON object a line instead of sentences")
     diff.add_argument("--out", metavar="PAGE.html", help="write a page with both, bins side by side")
@@ -99,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     learn = commands.add_parser("baseline", parents=[how], help="learn rules for -z yapp,check from good flights")
     learn.add_argument("--out", required=True, metavar="flight.rules", help="the file of rules")
     for command in (convert, learn):
-        command.add_argument("captures", nargs="+", metavar="CAPTURE", help=CAPTURES)
+        command.add_argument("captures", nargs="+", metavar="CAPTURE", help="files, folders, or patterns in quotes")
 
     commands.add_parser("install", help="put the plugin, live ports and profile into Wireshark")
     commands.add_parser("check", help="say what is installed in Wireshark, and what is wrong")
@@ -112,22 +106,6 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _positive(text: str) -> int:
-    if not text.isdigit() or int(text) == 0:
-        raise argparse.ArgumentTypeError(f"{text} is not a number from 1 on")
-    return int(text)
-
-
-def _rules(given: argparse.Namespace) -> Path | None:
-    """Return the file of rules, if one is given. Raises SetupError if it cannot be read."""
-    try:
-        if given.rules:
-            Path(given.rules).open().close()
-    except OSError as error:
-        raise SetupError(f"{given.rules} cannot be read: {error.strerror}") from error
-    return Path(given.rules) if given.rules else None
-
-
 def _say(texts: Iterable[str]) -> None:
     for text in texts:
         print(f"yapp-tables: {text}", file=sys.stderr)
@@ -138,8 +116,7 @@ def _install(given: argparse.Namespace) -> int:
 
 
 def _tshark(given: argparse.Namespace) -> Tshark:
-    bitrate = getattr(given, "bitrate", None)
-    return Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile, bitrate)
+    return Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile)
 
 
 class _NoPandas:
@@ -152,14 +129,14 @@ class _NoPandas:
 
 
 def _convert(given: argparse.Namespace) -> int:
-    from .conversion import convert
+    from .dataset import convert
 
     # The process is this command's own. What Dask has to say of lost workers it mends itself.
     logging.disable(logging.CRITICAL)
     if given.to != "mf4":
         sys.meta_path.insert(0, _NoPandas())
-    how = {"to": given.to, "jobs": given.jobs, "scheduler": given.scheduler, "bench": given.bench}
-    results = convert(given.captures, given.out, **how, **vars(_tshark(given)))
+    how = {name: getattr(given, name) for name in ("to", "jobs", "scheduler", "bench")} | vars(_tshark(given))
+    results = convert(given.captures, given.out, **how)
     for result in results:
         partial = f"read in part: {result.partial}" if result.partial else None
         said = (result.failure, partial, *result.lacks, *result.notes)
@@ -178,7 +155,7 @@ def _convert(given: argparse.Namespace) -> int:
 def _report(given: argparse.Namespace) -> int:
     from .report_page import write_page
 
-    _, flight = write_page(Path(given.capture), given.out, _rules(given), _tshark(given))
+    _, flight = write_page(Path(given.capture), given.out, given.rules, _tshark(given))
     _say(f"{flight.name}: {text}" for text in flight.left_out)
     return FAILED if flight.partial else INCOMPLETE if flight.left_out else 0
 
@@ -192,9 +169,9 @@ def _case(given: argparse.Namespace) -> int:
 
 def _diff(given: argparse.Namespace) -> int:
     from . import diff
-    from .conversion import find
+    from .dataset import find
 
-    found = diff.compare(find(given.before), find(given.after), _tshark(given), _rules(given))
+    found = diff.compare(find(given.before), find(given.after), _tshark(given), given.rules)
     if given.junit:
         write_whole(Path(given.junit), diff.junit(found))
     _print(given, diff, found)
@@ -217,7 +194,7 @@ def _print(given: argparse.Namespace, module: ModuleType, found: object) -> None
 
 def _baseline(given: argparse.Namespace) -> int:
     from . import baseline
-    from .conversion import find
+    from .dataset import find
 
     captures = find(given.captures)
     text, left = baseline.learn(captures, _tshark(given))

@@ -41,13 +41,12 @@ class Kind:
     least: float
     is_multiple: bool = False
     worse: int = 1  # the sign of a change that is worse
-    has_load: bool = False
 
 
 KINDS = {
-    "A": Kind(0.015, is_multiple=True, has_load=True),
-    "°C": Kind(1.5, has_load=True),
-    "%": Kind(2.0, has_load=True),
+    "A": Kind(0.015, is_multiple=True),
+    "°C": Kind(1.5),
+    "%": Kind(2.0),
     "jitter": Kind(0.3, is_multiple=True),
     "rate": Kind(0.02, is_multiple=True, worse=-1),
     "lag": Kind(20.0),
@@ -56,14 +55,11 @@ KINDS = {
 
 @dataclass
 class Run:
-    """One side: its flights, their messages by (controller, message), and what tshark says of them.
-
-    seconds: how long the flights are, without the time between them.
-    """
+    """One side: its flights, their messages by (controller, message), and what tshark says of them."""
 
     name: str
     flights: list[Flight] = field(default_factory=list)
-    seconds: float = 0.0
+    seconds: float = 0.0  # of the flights, without the time between them
     samples: dict[tuple[str, str], Samples] = field(default_factory=dict)
     events: list[Record] = field(default_factory=list)
     sizes: dict[tuple[str, str], set[int]] = field(default_factory=lambda: defaultdict(set))
@@ -195,12 +191,9 @@ def _reason(found: Comparison) -> str:
     for run in found.runs:
         if run.seconds < LEAST_SECONDS:
             return f"{run.name} lasts {run.seconds:.3g} s; {LEAST_SECONDS:g} s are needed"
-    only = [
-        f"{key[0]} ({one.samples[key].title}) is in {one.name} only"
-        for one, other in ((before, after), (after, before))
-        for key in one.samples
-        if key not in other.samples
-    ]
+    sides = {key: [run for run in found.runs if key in run.samples] for key in before.samples | after.samples}
+    only = [f"{key[0]} ({runs[0].samples[key].title}) is in {runs[0].name} only"
+            for key, runs in sides.items() if len(runs) == 1]  # fmt: skip
     if only:
         return f"the controllers differ: {'; '.join(only[:4])}; name them alike with -o yapp.sources"
     found.pairs = [Pair(found.runs, (one, after.samples[key])) for key, one in before.samples.items()]
@@ -350,7 +343,7 @@ def _sure(one: _Measured, change: Change, chance: float, bound: float, who: str)
         numbers, unit = ends, "points" if one.unit == "%" else one.unit
         now = one.base + numbers[0]
         text = f"{numbers[0]:+.3g} {unit} ({numbers[1]:+.3g} to {numbers[2]:+.3g})"
-    text += f", {one.base:.4g} -> {now:.4g} {one.unit}{' at equal load' * kind.has_load}"
+    text += f", {one.base:.4g} -> {now:.4g} {one.unit}{' at equal load' * (one.kind in ('A', '°C', '%'))}"
     text = f"{one.title} {text}{' beyond the others' * (change is one.beside)}"
     word = "worse" if change.value * kind.worse > 0 else "better"
     known = dict(zip(NUMBERS, (one.base, now, *numbers), strict=True))
@@ -462,10 +455,8 @@ def junit(found: Comparison) -> str:
     """Return a JUnit suite: a case for each comparison, what got worse as a failure."""
     worse = {(row["controller"], row["measure"]): _sentence(row) for row in found.findings if row["kind"] == "worse"}
     cases = dict.fromkeys(found.compared, "") | worse | ({("diff", "comparable"): ""} if found.reason else {})
-    counts = {"tests": len(cases), "failures": len(worse), "errors": int(bool(found.reason))}
-    suite = ElementTree.Element(
-        "testsuite", {name: str(count) for name, count in counts.items()}, name="yapp-tables diff"
-    )
+    counts = {"tests": f"{len(cases)}", "failures": f"{len(worse)}", "errors": "1" if found.reason else "0"}
+    suite = ElementTree.Element("testsuite", counts, name="yapp-tables diff")
     for (who, what), failure in cases.items():
         case = ElementTree.SubElement(suite, "testcase", classname=who, name=what)
         if failure:

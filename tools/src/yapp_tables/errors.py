@@ -31,11 +31,7 @@ def progress(work: Iterable[Any], **how: Any) -> Iterable[Any]:
 
 
 def need(module: str, extra: str) -> ModuleType:
-    """Import a module that needs an optional library.
-
-    module: "distributed", or a module of this package. extra: the extra of this package that brings the library.
-    Raises SetupError with the command that installs it.
-    """
+    """Import a module that needs the library of an extra. Raises SetupError with the command that installs it."""
     try:
         return importlib.import_module(module)
     except ImportError as error:

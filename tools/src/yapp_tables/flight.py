@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """A capture in a notebook: its messages as tables."""
 
+import hashlib
+import os
 import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,7 +14,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from . import __version__
-from .dataset import StrPath, flight_id
 from .errors import CaptureError, count_of
 from .incidents import faults_in
 from .scratch import scratch
@@ -22,10 +23,17 @@ from .tables import TABLES, catalogue_version, columns_of, read_rows, record_col
 from .tables import messages as catalogue
 from .tshark import Export, Record, Tshark
 
+StrPath = str | os.PathLike[str]
 # A step of the capture's clock, in seconds, that counts as "it was set".
 SET = 1.0
 # Nobody recorded before 2000: an earlier time counts from the recorder's own start. Nanoseconds since 1970.
 YEAR_2000 = 946_684_800_000_000_000
+
+
+def flight_id(capture: Path) -> str:
+    """Return the name of a capture's content: the first 16 digits of its SHA-256."""
+    with capture.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
 class Flight(Mapping[str, pa.Table]):
@@ -34,7 +42,6 @@ class Flight(Mapping[str, pa.Table]):
     name, flight_id: the capture's file name, and a name of its content;
     events: (n, kind, time, ...) faults, reboots, silences, bad CRCs, lost frames; times UTC in ns, lengths in seconds;
     faults: of these the flags raised and cleared; summary: a row for each bus and ID, rates in Hz, gaps in seconds;
-    buses: a row for each CAN bus, if bitrate is given;
     messages: {name: pyarrow.Schema}, what the catalogue says of them; plugin: its version;
     left_out: sentences on all that the capture has and the tables do not; empty where they are complete;
     partial: why a capture could not be read to its end; notes: sentences on copies.
@@ -51,7 +58,6 @@ class Flight(Mapping[str, pa.Table]):
         named = [name for name in self.records["faults"].names if name in self.events.schema.names]
         self.faults = self.events.filter(pc.equal(self.events["kind"].cast(pa.string()), "fault")).select(named)
         self.summary = table(export.records["summary"], self.records["summary"])
-        self.buses = table(export.records["buses"], self.records["buses"])
         known = catalogue(export.fields)
         self.records["points"] = pa.schema([*self.records["points"], *map(record_column, point_columns(known))])
         self.titles: dict[str, str] = {name: schema.metadata[b"title"].decode() for name, schema in known.items()}
@@ -91,13 +97,8 @@ class Flight(Mapping[str, pa.Table]):
 
         log: of a thrust stand. Raises YappError where that does not fit.
         """
-        # Steps and points are made of the message with a speed and its command, and of those commands.
-        commands = {each for schema in self.messages.values() for each in schema.names if each.endswith("_commanded")}
-        asked = {each.removesuffix("_commanded") for each in commands}
-        following = {name: self[name] for name, schema in self.messages.items()
-                     if {*commands, *asked} & set(schema.names)}  # fmt: skip
         start = self.start()
-        found = samples(following, start=start)
+        found = samples(self, start=start)
         bench, columns = aligned(log, found) if log else None, list(self.records["points"])
         if bench:
             self.notes.append(bench.said)
@@ -107,7 +108,7 @@ class Flight(Mapping[str, pa.Table]):
         def timed(rows: Iterator[Record], schema: pa.Schema) -> pa.Table:
             return table((row | {"time": Decimal(start + round(row["at"] * 1e9)).scaleb(-9)} for row in rows), schema)
 
-        records = {name: getattr(self, name) for name in ("events", "faults", "summary", "buses")} | {
+        records = {name: getattr(self, name) for name in ("events", "faults", "summary")} | {
             "steps": timed(steps(found), self.records["steps"]),
             "points": timed(points(found, bench), pa.schema(columns)),
             "flights": pa.Table.from_pylist([self._row(capture, options)], self.records["flights"]),
@@ -141,10 +142,7 @@ class Flight(Mapping[str, pa.Table]):
 
 
 def read_flight(capture: Path, tshark: Tshark, has_begin: bool = False) -> Flight:
-    """Read as `read` does, without its warnings.
-
-    has_begin: whether the first packet's time is wanted, for which tshark runs once more.
-    """
+    """Read as `read` does, without its warnings; has_begin: run tshark once more, for the first packet's time."""
     with scratch() as folder:
         export = tshark.export(capture, folder / "export")
         if not has_begin:

@@ -34,21 +34,14 @@ SINGLE = ("reboot", "silence", "disabled", "bus", "absent", "shared", "jump")  #
 CALM = 3.0  # seconds that a controller takes to be as before, after a reboot or a Command that was disabled
 
 
-def role(column: pa.Field) -> str:
-    """Return the role of a column."""
-    return said(column.metadata).get("role", "")
-
-
 def is_command(messages: Messages, message: str | None) -> bool:
     """Return whether a message has no clock of a controller: it is sent to one, or to all on a bus."""
-    return message in messages and all(role(column) != "clock" for column in messages[message or ""])
+    columns = messages.get(message or "", ())
+    return message in messages and "clock" not in {said(column.metadata).get("role") for column in columns}
 
 
 def events_of(events: pa.Table, messages: Messages, start: int) -> list[Record]:
-    """Return events with the keys that rows are made of: at, in seconds since start, who, controller and others.
-
-    start: nanoseconds since 1970.
-    """
+    """Return events with the keys of rows: who, controller, at (seconds since start, in ns since 1970) and others."""
     own = events.drop_columns(["time"]).append_column("at", events["time"].cast(pa.int64()))
     found: list[Record] = own.to_pylist()
     for event, controller in zip(found, controllers(found), strict=True):
@@ -71,10 +64,7 @@ def faults_in(events: pa.Table) -> int:
 
 
 def excused(events: list[Record], names: Mapping[tuple[str | None, int], str]) -> dict[str, list[tuple[float, float]]]:
-    """Return when a source is not compared: around its own reboots and silences, and a Command lost or disabled.
-
-    names: {(bus, ID): name of the source}.
-    """
+    """Return when each source, {(bus, ID): name}, is not compared: around its reboots and silences, and a Command's."""
     windows: dict[str, list[tuple[float, float]]] = {}
     for event in events:
         if event["kind"] not in ("reboot", "silence", "disabled"):
@@ -101,8 +91,8 @@ def fault_rows(messages: Messages, events: list[Record], end: float) -> list[Rec
     for event in (event for event in events if event["kind"] == "fault"):
         key = event["who"], event["message"], event["flag"]
         if event["event"] == "raised" or (event["event"] == "cleared" and key not in open_rows):
-            flags = (column for column in messages.get(event["message"], ()) if role(column) == "flag")
-            titles = (said(flag.metadata)["title"] for flag in flags if flag.name.endswith(f"_{event['flag']}"))
+            columns = (one for one in messages.get(event["message"], ()) if one.name.endswith(f"_{event['flag']}"))
+            titles = (known["title"] for one in columns if (known := said(one.metadata)).get("role") == "flag")
             what = next(titles, event["flag"])
             # One that is cleared alone was raised before what a filter let through.
             begin = event["at"] - (event["active"] or 0.0)

@@ -157,15 +157,12 @@ def _span(one: Samples, name: str, values: Array) -> str:
 def _picture(
     one: Samples, source: Record, names: list[str], ends: tuple[float, float], bands: Windows, scale: float
 ) -> str:
-    """One picture: what was commanded, pale and wide, what was measured, and bands where there was a fault.
-
-    scale: the width of a second.
-    """
+    """One picture: what was commanded, pale and wide, what was measured, bands of faults; scale: of a second."""
     times, lines = thin(one, [one.columns[name] for name in names], SAMPLES)
-    shapes = "".join(
-        f"<rect class=band x='{begin * scale:.0f}' width='{max((end - begin) * scale, 4):.0f}' height='{HEIGHT}'/>"
-        for begin, end in bands
-    )
+    shapes = ""
+    for begin, end in bands:
+        wide = max((end - begin) * scale, 4)
+        shapes += f"<rect class=band x='{begin * scale:.0f}' width='{wide:.0f}' height='{HEIGHT}'/>"
     for kind, values in zip(("told", "own")[-len(lines) :], lines, strict=True):
         y = HEIGHT - 3 - (values - ends[0]) / (ends[1] - ends[0]) * (HEIGHT - 6)
         is_first = np.isnan(np.concatenate([[np.nan], y[:-1]]))  # a line has a gap where there is no value

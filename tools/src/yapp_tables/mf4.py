@@ -60,7 +60,11 @@ def _signal(column: pa.Field, cells: pa.Array, times: Any, groups: tuple[str, ..
     conversion: dict[str, Any] = {}
     for number, (value, text) in enumerate(values.items()):
         conversion |= {f"val_{number}": int(value), f"text_{number}": text.encode()}
-    samples = _samples(cells)
+    if pa.types.is_string(cells.type):
+        samples = np.char.encode(pc.fill_null(cells, "").to_numpy(zero_copy_only=False).astype("U"), "utf-8")
+    else:
+        cells = cells.cast(pa.uint8()) if pa.types.is_boolean(cells.type) else cells
+        samples = pc.fill_null(cells, 0).to_numpy(zero_copy_only=False)
     return Signal(
         samples,
         times,
@@ -72,12 +76,3 @@ def _signal(column: pa.Field, cells: pa.Array, times: Any, groups: tuple[str, ..
         display_names={escape(f"{group}.{column.name}"): "display" for group in groups},
         encoding="utf-8" if samples.dtype.kind == "S" else None,
     )
-
-
-def _samples(cells: pa.Array) -> Any:
-    """Return cells as numpy has them."""
-    if pa.types.is_string(cells.type):
-        return np.char.encode(pc.fill_null(cells, "").to_numpy(zero_copy_only=False).astype("U"), "utf-8")
-    if pa.types.is_boolean(cells.type):
-        cells = cells.cast(pa.uint8())
-    return pc.fill_null(cells, 0).to_numpy(zero_copy_only=False)

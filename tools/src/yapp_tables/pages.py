@@ -23,18 +23,15 @@ def listed(lines: Sequence[tuple[str, str]]) -> str:
 
 
 def pairs(rows: Sequence[tuple[str, tuple[float, float], tuple[float, float]]], unit: str) -> str:
-    """Return a table of bins side by side: (range of speed, (mean, spread) BEFORE, (mean, spread) AFTER).
-
-    Behind each mean stands a bar as long as it is.
-    """
+    """Return a table of bins side by side: (range of speed, (mean, spread) BEFORE, (mean, spread) AFTER)."""
     most = max(max(abs(one[0]), abs(other[0])) for _, one, other in rows) or 1.0
     lines = [f"<tr><th>speed, RPM</th><th>BEFORE, {unit}</th><th>AFTER, {unit}</th><th>change, {unit}</th></tr>"]
     for label, *both in rows:
-        cells = "".join(
-            f"<td><meter max={most:.6g} value={abs(mean):.6g}></meter> {mean:.4g} ± {spread:.2g}</td>"
-            for mean, spread in both
-        )
-        lines.append(f"<tr><td>{label}</td>{cells}<td class=number>{both[1][0] - both[0][0]:+.3g}</td></tr>")
+        lines.append(f"<tr><td>{label}</td>")
+        for mean, spread in both:
+            bar = f"<meter max={most:.6g} value={abs(mean):.6g}></meter>"
+            lines.append(f"<td>{bar} {mean:.4g} ± {spread:.2g}</td>")
+        lines.append(f"<td class=number>{both[1][0] - both[0][0]:+.3g}</td></tr>")
     return f"<table>{''.join(lines)}</table>"
 
 

@@ -137,10 +137,9 @@ class Pictures:
                 lines.append({"source": one.number, "name": title} | points)
         sources = {source["name"]: source for source in self.sources}
         for row in (row for row in self.differs if row["kind"] == "level" and row["field"] == pair[1]):
-            odd.append(sources[row["source"]]["controller"])
-            said.append(
-                f"{sources[row['source']]['label']}, {row['value']:.1f} beside {row['beside']:.1f} {row['unit']}"
-            )
+            source = sources[row["source"]]
+            odd.append(source["controller"])
+            said.append(f"{source['label']}, {row['value']:.1f} beside {row['beside']:.1f} {row['unit']}")
         about = {"title": title, "message": lead.title, "key": "", "lines": lines, "unit": lead.unit_of(pair[1])}
         about |= {"across": f"{lead.title_of(speeds[0])}, {lead.unit_of(speeds[0])}"}
         self.clouds.append(about | {"odd": odd, "said": "; ".join(said)})

@@ -10,12 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from .tables import plain, said
+from .tables import said
 
 LATE = 2.5  # a gap is longer than this many periods, as for the plugin's yapp.late
 DEGREES = ("°C", "C", "degC")
 APART = 1e6  # seconds between the times of two flights
-ROLES = ("value", "clock")  # of the columns that are compared and drawn
 Array = np.ndarray[Any, Any]
 
 
@@ -83,12 +82,12 @@ def named(about: Mapping[str, Mapping[str, str]], role: str, *units: str) -> lis
 
 
 def split(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
-    """Return the rows of each source, without dictionaries, by its name: the user's, or bus and ID, "can0 0x210"."""
-    rows = plain(rows)
+    """Return the rows of each source by its name: the user's, or bus and ID, "can0 0x210"."""
+    bus, source = (rows[each].cast(pa.string()) for each in ("bus", "source"))
     coded = rows["id"].combine_chunks().dictionary_encode()
     texts = pa.array([f"0x{number:03x}" for number in coded.dictionary.to_pylist()], pa.string()).take(coded.indices)
-    number = pc.binary_join_element_wise(pc.fill_null(rows["bus"], ""), texts, " ")
-    names = pc.utf8_trim_whitespace(pc.coalesce(rows["source"], number))
+    number = pc.binary_join_element_wise(pc.fill_null(bus, ""), texts, " ")
+    names = pc.utf8_trim_whitespace(pc.coalesce(source, number))
     for name in sorted(pc.unique(names).to_pylist(), key=natural):
         yield name, rows.filter(pc.equal(names, name))
 
@@ -122,7 +121,7 @@ def samples(tables: Mapping[str, pa.Table], number: int = 0, start: int = 0) -> 
     found: list[Samples] = []
     for message, table in tables.items():
         about, whole = {each.name: said(each.metadata) for each in table.schema}, said(table.schema.metadata)
-        names = [name for name, known in about.items() if known.get("role") in ROLES]
+        names = [name for name, known in about.items() if known.get("role") in ("value", "clock")]
         # A message without a clock of the controller, such as a command, may be for all of a bus: it is its own.
         is_own = any(known.get("role") == "clock" for known in about.values())
         title = whole.get("title", message)

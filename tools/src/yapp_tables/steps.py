@@ -99,10 +99,7 @@ def _crossing(times: Array, values: Array, share: float) -> float | None:
 
 
 def points(found: Mapping[tuple[str, str], Samples], bench: "Bench | None" = None) -> Iterator[Record]:
-    """Yield a record for each hold of LEAST_POINT seconds: means behind the first second, slopes in 1/min.
-
-    bench: a thrust stand, with the times of the capture.
-    """
+    """Yield a record for each hold of LEAST_POINT seconds: means behind the first second, slopes in 1/min."""
     for one, speed, when, told in followed(found):
         names, degrees = averaged(one.about), one.names("value", *DEGREES)
         for first, last in _holds(when, told, LEVEL * max(float(np.abs(told).max()), 1e-9)):

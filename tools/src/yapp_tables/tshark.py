@@ -26,8 +26,8 @@ LARGE_PIECES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1", "MALLOC_TOP_PAD_": s
 PLUGIN_SAYS = "yapp: "
 # Nothing is missing then: the second message is left out.
 COPIES = re.compile(r"^\d+ messages? (was|were) recorded twice")
-# Exit codes: a rule does not hold; a statistic leaves something out.
-BROKEN, UNDECIDED = 20, 21
+# Exit codes: a rule does not hold, a statistic leaves something out.
+OF_STATISTICS = (20, 21)
 
 Record = dict[str, Any]
 
@@ -53,8 +53,7 @@ class Tshark:
     """How tshark is called: everything that all captures of one command have in common.
 
     tshark: a path or a name in PATH, None for the usual places; plugin: yapp.lua where it is not installed;
-    options: preferences, ["yapp.motor_ids:0x210,0x211"]; filter: a display filter, only these messages are taken;
-    profile: a profile of Wireshark's; bitrate: of the CAN buses, for a table of these, which takes longer.
+    options: preferences, ["yapp.motor_ids:0x210,0x211"]; filter: a display filter; profile: a profile of Wireshark's.
     """
 
     tshark: str | os.PathLike[str] | None = None
@@ -62,7 +61,6 @@ class Tshark:
     options: Sequence[str] = ()
     filter: str | None = None
     profile: str | None = None
-    bitrate: int | None = None
 
     def export(self, capture: Path, folder: Path, more: Sequence[str] = ("summary,brief,json",)) -> Export:
         """Write a capture's messages to folder, which is made. more: statistics besides, a summary among them.
@@ -71,8 +69,7 @@ class Tshark:
         """
         folder.mkdir(parents=True)
         # Relative to tshark's own folder: a comma in a path would end the option.
-        buses = [f"buses,bitrate={self.bitrate},json"] if self.bitrate else []
-        done = self._ask(capture, ["csv,csv", "events,json", *buses, *more], folder)
+        done = self._ask(capture, ["csv,csv", "events,json", *more], folder)
         if os.strerror(errno.ENOSPC) in done.stderr:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         described = folder / "csv/fields.json"
@@ -81,10 +78,9 @@ class Tshark:
         lines = _said(done)
         notes = tuple(line for line in lines if COPIES.search(line))
         lacks = tuple(line for line in lines if line not in notes)
-        records: dict[str, list[Record]] = {name: [] for name in ("check", "events", "buses", "summary")}
-        keys = {"rule": "check", "kind": "events", "yapp": "buses"}  # of the others' lines
+        records: dict[str, list[Record]] = {"check": [], "events": [], "summary": []}
         for record in _json_lines(done.stdout):
-            records[next((name for key, name in keys.items() if key in record), "summary")].append(record)
+            records["check" if "rule" in record else "events" if "kind" in record else "summary"].append(record)
         return Export(described.parent, fields, records, partial, lacks, notes)
 
     def ask(self, capture: Path, statistics: Sequence[str], rules: str = "") -> tuple[list[Record], list[str], str]:
@@ -157,7 +153,7 @@ class Tshark:
             if not written:
                 raise SetupError(f"the plugin wrote no fields.json{said and ': ' + said}: {INSTALL_PLUGIN}")
             return None
-        if written and done.returncode in (BROKEN, UNDECIDED):
+        if written and done.returncode in OF_STATISTICS:
             # Instead of tshark's own code: what it says of the file tells.
             lines = (line for line in done.stderr.splitlines() if f'"{capture.resolve()}"' in line)
             return _complaint("\n".join(lines)) or None

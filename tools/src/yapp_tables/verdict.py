@@ -17,6 +17,7 @@ from .tshark import Record
 HEADS = ("what", "source", "begin", "UTC", "duration", "frames", "details")
 LOSSES = ("incomplete", "crc", "missing", "stale")
 FEW = 3  # incidents of a kind that are told one by one
+ABOUT = "<span><span class=pale>{}</span> {}</span>"
 SHARE = 0.8  # of a flight, and more, is throughout
 
 
@@ -40,8 +41,7 @@ def clock(seconds: float) -> str:
 
 def utc(epoch: float, seconds: float) -> str:
     """Return the time of day in UTC, `14:33:32.037`."""
-    whole, part = divmod(round((epoch + seconds) * 1000), 1000)
-    return f"{datetime.fromtimestamp(whole, UTC):%H:%M:%S}.{part:03}"
+    return f"{datetime.fromtimestamp(round(epoch + seconds, 3), UTC):%H:%M:%S.%f}"[:-3]
 
 
 def causes(data: Record) -> dict[str, list[Record]]:
@@ -100,21 +100,15 @@ def _incident(row: Record, data: Record) -> str:
         return text + f", silent {lasts}" * ("silence" in kinds)
     if kinds == ["silence"] and not rows[0]["is_command"] and "bus" not in row:
         end = data["length"] if until is None else until
-        damaged = sum(begin <= at <= end for at in _damaged(row["source"], data))
-        came = f", in which {count_of(damaged, 'damaged message')} came" if damaged else ""
-        told = "; Commands lost, too" * any(one["is_command"] for one in rows)
-        return f"silent {lasts}, from {clock(begin)}{came}{told}"
+        came = (one for other in data["incidents"] for one in other["rows"] if one["kind"] in ("crc", "incomplete"))
+        damaged = sum(begin <= at <= end for one in came if one["source"] == row["source"] for at in one["at"])
+        text = f"silent {lasts}, from {clock(begin)}"
+        text += f", in which {count_of(damaged, 'damaged message')} came" if damaged else ""
+        return f"{text}{'; Commands lost, too' * any(one['is_command'] for one in rows)}"
     text = f"{row['what']} {f'{lasts} ' * (until != begin)}at {clock(begin)}"
     if lasts == "until the end":
         text = f"{row['what']} at {clock(begin)}, {lasts}"
     return f"{text}; {row['stopped']}" if row.get("stopped") else text
-
-
-def _damaged(source: str, data: Record) -> Iterator[float]:
-    """Yield when messages of a source were damaged."""
-    for one in (one for row in data["incidents"] for one in row["rows"]):
-        if one["kind"] in ("crc", "incomplete") and one["source"] == source:
-            yield from one["at"]
 
 
 def reboots_of(row: Record) -> int:
@@ -246,10 +240,7 @@ def head(data: Record) -> dict[str, str]:
     return {
         "/*NAME*/": html.escape(data["name"]),
         "/*WHEN*/": f"{day} {utc(data['epoch'], 0)} UTC, {duration(data['length'])}",
-        "/*ABOUT*/": "".join(
-            f"<span><span class=pale>{html.escape(name)}</span> {html.escape(told)}</span>"
-            for name, told in data["about"]
-        ),
+        "/*ABOUT*/": "".join(ABOUT.format(html.escape(name), html.escape(told)) for name, told in data["about"]),
         "/*DOUBTS*/": html.escape(" · ".join(data["left_out"])),
         "/*VERDICT*/": f"<b class={'good' if word == 'GOOD' else 'bad'}>{word}</b>: {html.escape(text)}; {decoded}.",
         "/*CAUSES*/": "".join(_cause(who, said) for who, said in causes(data).items()),

@@ -13,8 +13,6 @@ from .series import split
 from .tables import DURATION, is_message, plain
 
 ROW_GROUP = 100_000
-
-
 Tables = Mapping[str, pa.Table]
 # Of the tables of a flight, the path of its files without a suffix, the URL of the data set, and the flight_id.
 Writer = Callable[[Tables, Path, str, str], None]
@@ -56,7 +54,7 @@ def by_source(table: pa.Table) -> Iterator[tuple[tuple[str, ...], pa.Table]]:
 
     Events, faults, the summary and the flight stay together, and are called nothing.
     """
-    for name, own in split(table) if is_message(table) else [("", plain(table))]:
+    for name, own in split(plain(table)) if is_message(table) else [("", plain(table))]:
         is_named = is_message(table) and own["source"][0].is_valid
         yield (name,) if is_named else tuple(name.split()), own.combine_chunks()
 
