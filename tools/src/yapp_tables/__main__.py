@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """python -m yapp_tables."""
 
-import sys
+from .cli import run
 
-from .cli import main
-
-sys.exit(main())
+run()

@@ -2,12 +2,14 @@
 """The command: yapp-tables convert, report, case, diff, trend, baseline; install, check, uninstall."""
 
 import argparse
+import gc
 import logging
 import os
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import ModuleType
+from typing import NoReturn
 
 # Each command imports its own: Arrow and numpy take longer than most of the rest.
 from . import __version__, install
@@ -30,14 +32,22 @@ EXAMPLES = {
 }
 
 
+def run() -> NoReturn:
+    """Run the command as a process of its own: these settings save 0.2 s of CPU."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small here
+    gc.set_threshold(100_000)  # imports leave no garbage
+    code = main()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)  # numpy and Arrow need not be taken apart
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command. Returns its exit code.
 
     0 all done, 1 a capture failed, 2 nothing could be done, 3 done, but not all that looks like YAPP was decoded.
     """
     given = _parser().parse_args(arguments)
-    # Matrices are small here: threads for them cost 0.1 s of CPU at the start.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         code: int = given.run(given)
         return code

@@ -37,7 +37,7 @@ TYPES = {
 
 def write_delta(tables: Tables, _: Path, url: str, flight: str) -> None:
     """Put the rows of a flight in place of those that are there; a column that is new extends the table."""
-    how = {"mode": "overwrite", "predicate": _is(flight), "schema_mode": "merge"}
+    how = {"mode": "overwrite", "predicate": f"flight_id = '{flight}'", "schema_mode": "merge"}
     for name, rows in tables.items():
         _again(partial(write_deltalake, _url(url, name), _rows(rows), **how))
 
@@ -45,7 +45,7 @@ def write_delta(tables: Tables, _: Path, url: str, flight: str) -> None:
 def delete(url: str, flight: str, messages: Iterable[str]) -> None:
     """Remove the rows of a flight."""
     for place in (_url(url, message) for message in messages):
-        _again(lambda place=place: DeltaTable(place).delete(_is(flight)))  # type: ignore[misc]
+        _again(lambda place=place: DeltaTable(place).delete(f"flight_id = '{flight}'"))  # type: ignore[misc]
 
 
 def _again(work: Callable[[], object]) -> None:
@@ -66,10 +66,6 @@ def _again(work: Callable[[], object]) -> None:
 
 def _url(url: str, message: str) -> str:
     return f"{url}/message={message}"
-
-
-def _is(flight: str) -> str:
-    return f"flight_id = '{flight}'"
 
 
 def _rows(rows: pa.Table) -> pa.Table:

@@ -236,9 +236,9 @@ class Limits:
 
     def of(self, one: Samples, field: str) -> tuple[float, float]:
         """Return the lowest and the highest value that a source may have; infinite where no rule says so."""
-        general = self.ranges.get(("", one.message, field), (-np.inf, np.inf))
-        own = self.ranges.get((one.name, one.message, field), general)
-        return max(own[0], general[0]), min(own[1], general[1])
+        both = (self.ranges.get((name, one.message, field), (-np.inf, np.inf)) for name in ("", one.name))
+        lows, highs = zip(*both, strict=True)
+        return max(lows), min(highs)
 
 
 def beyond(one: Samples, name: str, limits: tuple[float, float]) -> list[Record]:
