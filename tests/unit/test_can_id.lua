@@ -6,21 +6,11 @@ local can = require("yapp.wire.can_id")
 
 local T = {}
 
-function T.test_ids()
-  for _, row in ipairs { -- CAN id, Msg ID, CAN CTRL, YAPP CTL, Seq
-    { 0x08404000, 0x210, 1, 0, 0 }, -- the document's example
-    { 0x08408000, 0x210, 2, 0, 0 },
-    { 0x0840C000, 0x210, 3, 0, 0 },
-    { 0x00000000, 0, 0, 0, 0 },
-    { 0x1FFFFFFF, 2047, 15, 63, 255 },
-    { 0x000000FF, 0, 0, 0, 255 },
-    { 0x00003F00, 0, 0, 63, 0 },
-    { 0x0003C000, 0, 15, 0, 0 },
-    { 0x1FFC0000, 2047, 0, 0, 0 },
-  } do
-    local fields = can.fields[row[1]]
-    lu.assertEquals({ fields.id, fields.ctrl, fields.ctl, fields.seq }, { row[2], row[3], row[4], row[5] })
-  end
+function T.test_fields_of_an_id()
+  local fields = can.fields[0x0840C2FF]
+  lu.assertEquals({ fields.id, can.CTRL_NAMES[fields.ctrl], fields.ctl, fields.seq }, { 0x210, "End", 2, 255 })
+  lu.assertEquals(can.CTRL_NAMES[can.fields[0].ctrl], "Single")
+  lu.assertIs(can.fields[0x0840C2FF], fields)
 end
 
 function T.test_what_a_start_says()

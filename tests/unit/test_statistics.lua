@@ -231,6 +231,9 @@ function T.test_csv_in_a_folder()
     lu.assertEquals(read(folder .. "/note.csv"), "time,frame,bus,source,id,seq,text\n")
     lu.assertStrContains(read(folder .. "/fields.json"), '{"version":1,"plugin":"9.8.7","messages":{"motor":' ..
       '{"title":"Motor Data","every":0.1,"columns":[{"name":"time",')
+    lu.assertStrContains(read(folder .. "/fields.json"), '{"name":"volts","unit":"V","type":"float","filter":"taurus.motor.volts",' ..
+      '"title":"Volts","low":0,"high":250,"learnable":true,"kind":null,"bits":null,"values":null},{"name":"volts_special","unit":null,' ..
+      '"type":"string","filter":"taurus.motor.volts","title":"Volts","low":null,"high":null,"learnable":null,')
     lu.assertStrContains(read(folder .. "/fields.json"), '{"name":"mode","unit":null,"type":"integer","filter":"taurus.motor.mode",' ..
       '"title":"Mode","low":null,"high":null,"learnable":null,"kind":"uint","bits":8,"values":{"0":"off","3":"on"}}')
     lu.assertNil(io.open(folder .. "/motor.csv.part"))
@@ -766,6 +769,7 @@ function T.test_copies()
   local records = { record(1, 0), copy(2, 1), record(3, 0.003), copy(4, 3), copy(5, 3) }
   local twice = "2 messages were recorded twice; each counts once"
   for _, what in ipairs(IN_TEXT) do lu.assertStrContains(run({ what }, records), twice) end
+  for _, verdict in ipairs(verdicts("", records)) do lu.assertNil(verdict:find("copies")) end
   lu.assertEquals(verdicts("copies=2,copies=3", records), { "copies=2 left false 3 2", "copies=3 left true 3 2",
     "unknown=0 null true 0 null" })
 end
