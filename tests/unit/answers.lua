@@ -35,7 +35,7 @@ M.CATALOGUE, PROBLEMS = catalogue_of.compile {
     { "volts", "float8", "Volts", min = 0, max = 250, unit = "V" },
     { "fault_flags", "uint8", "Faults", group = "fault", alarm = true,
       flags = { { "hot", 0x1, "Hot" }, { "stall", 0x6, "Stall" } } },
-    { "mode", "uint8", "Mode", values = { [0] = "off", [3] = "on" } },
+    { "mode", "uint8", "Mode", values = { [0] = "off", [3] = "on", [12] = "idle" } },
     { "clock", "int64_ns", "Clock" } },
   { name = "note", title = "Note", id = 1, size = 1, { "text", "string", "Text", length = 1 } },
   { name = "health", title = "Health", id = 0x200, size = 8, every = 0.5, { "clock", "int64_ns", "Clock" } },

@@ -235,7 +235,7 @@ function T.test_csv_in_a_folder()
       '"title":"Volts","low":0,"high":250,"learnable":true,"kind":null,"bits":null,"values":null},{"name":"volts_special","unit":null,' ..
       '"type":"string","filter":"taurus.motor.volts","title":"Volts","low":null,"high":null,"learnable":null,')
     lu.assertStrContains(read(folder .. "/fields.json"), '{"name":"mode","unit":null,"type":"integer","filter":"taurus.motor.mode",' ..
-      '"title":"Mode","low":null,"high":null,"learnable":null,"kind":"uint","bits":8,"values":{"0":"off","3":"on"}}')
+      '"title":"Mode","low":null,"high":null,"learnable":null,"kind":"uint","bits":8,"values":{"0":"off","3":"on","12":"idle"}}')
     lu.assertNil(io.open(folder .. "/motor.csv.part"))
   end)
 end
@@ -511,6 +511,7 @@ volts  V     left          10  73.6667  200     188       0.350000      5
   end
   lu.assertStrMatches(run({ "compare" }, records, { hint = "said once" }),
     "YAPP compare: 2 sources of Health\nsaid once\n\nYAPP compare: 2 sources of Motor Data\n\n.*")
+  lu.assertNotStrContains(run({ "compare" }, records, { hint = "use filter=", matches = { [1] = true } }), "use filter=")
   lu.assertEquals(run({ "compare" }, { record(1, 0) }), "YAPP compare: no message has several sources\n")
 end
 
@@ -1025,14 +1026,6 @@ function T.test_packets_without_time_stamps()
   lu.assertEquals(select(2, verdicts("fault=0,crc=0,motor.count=2,motor.volts=..10", records, with)), 0)
   lu.assertEquals(run({ "events,json" }, records, with), "")
   lu.assertStrContains(run({ "summary,json" }, records, with), '"rate":null,"gap_min":null,"gap_mean":null,"gap_max":null,"gap_max_frame":null')
-end
-
--- What the last option says in a window's dialog stands there too.
-function T.test_a_hint_for_every_answer()
-  for _, what in ipairs(IN_TEXT) do
-    lu.assertEquals(lines(run({ what }, { record(1, 0) }, { hint = "use filter=" }))[2], "use filter=")
-    lu.assertNotStrContains(run({ what }, { record(1, 0) }, { hint = "use filter=", matches = { [1] = true } }), "use filter=")
-  end
 end
 
 -- Options -------------------------------------------------------------------------------------------------------
