@@ -8,16 +8,16 @@
 local band = require "yapp.base.bits".band
 local binary = require "yapp.message.binary"
 local field_kinds = require "yapp.message.field_kinds"
-local last_until = require "yapp.base.frame_key".last_until
+local frame_key = require "yapp.base.frame_key"
 local faults_of = require "yapp.message.faults"
 local mapped = require "yapp.base.mapped"
 local memo = require "yapp.base.memo"
-local number_of = require "yapp.base.frame_key".number
 
 local History = {}
 History.__index = History
 
 local huge, insert = math.huge, table.insert
+local last_until, number_of = frame_key.last_until, frame_key.number
 
 local TURNING = 0.1 -- share of the highest speed so far; a faster motor turns
 local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
