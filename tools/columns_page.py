@@ -25,6 +25,8 @@ ends. The sum of `active` is how long a flag was set.""",
 A row for each bus and ID. Good messages have a good CRC, or need none. If a source counts by Seq
 No, a damaged message is `missing`, too, and the lost share is `missing / (count + missing)`.
 Otherwise it is `(crc_bad + incomplete) / (count + crc_bad + incomplete)`.""",
+    "buses": """\
+A row for each CAN bus, if `convert` got its `--bitrate`. `other` has the error frames by kind.""",
     "steps": """\
 A row for each change of a command by 5 % of its range or more, if the command held for 0.5 s. Times
 are by the controller's clock, on lines between two messages. `resolution` is their distance.""",

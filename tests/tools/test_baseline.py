@@ -82,6 +82,7 @@ def test_fields_with_the_names_of_measures(tmp_path, monkeypatch):
     """The rate of the messages is 10 Hz, the field of this name 1000 to 1009."""
     names = ("rate", "gap", "mean", "spread")
     fields = ", ".join(f'{{ "{name}", "uint16", "{name.title()}", unit = "V" }}' for name in names)
+    fields += ', derived = { { "drop", "rate - gap", "Drop", unit = "V" } }'  # a column, as it has a unit of its own
     (tmp_path / "messages.lua").write_text(
         f'return {{ {{ name = "pump", title = "Pump", id = 0x340, size = 8, {fields} }} }}'
     )
@@ -97,7 +98,7 @@ def test_fields_with_the_names_of_measures(tmp_path, monkeypatch):
     learnt = {name: ends for name, *ends in re.findall(r"^pump\.([\w.]+)=(?:(.+?)\.\.)?(\S+) ", text, re.M)}
     assert learnt.keys() == {"rate", "gap", "rate.value", "gap.value", "mean", "spread"} | {
         f"{name}.mean" for name in ("rate", "gap", "mean", "spread")
-    }
+    } | {"drop", "drop.mean"}
     expected = {"rate": (10, 10), "rate.value": (1000, 1009), "rate.mean": (1004.5, 1004.5), "mean": (0, 99)}
     for name, (lowest, highest) in expected.items():
         low, high = map(float, learnt[name])

@@ -16,7 +16,7 @@ from running import FAKE, motor_row, result
 from yapp_tables import cli
 from yapp_tables.cli import EXAMPLES
 
-TABLES = ["events", "faults", "flights", "motor", "points", "steps", "summary"]
+TABLES = ["buses", "events", "faults", "flights", "motor", "points", "steps", "summary"]
 
 
 def files(folder):

@@ -4,9 +4,12 @@
 import json
 import math
 import os
+import subprocess
+from collections import Counter
 
 import flights
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import yapp_tables as yt
 from running import PLUGIN, run_tables
@@ -134,3 +137,20 @@ def test_what_tshark_refuses_is_said_in_one_sentence(flight, tmp_path, arguments
     assert sentence in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "data").exists()
+
+
+def test_buses_in_tables_and_on_the_page(flight, tmp_path):
+    path = flight[0]
+    command = ["tshark", "-r", path, "-T", "fields", "-e", "frame.interface_name", "-Y", "can"]
+    names = Counter(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
+    how = ["--bitrate", "500000", *OPTIONS, "--plugin", PLUGIN]
+    run_tables(tmp_path, "convert", path, "--to", "parquet", "--out", "data", *how, code=0)
+    rows = pq.read_table(tmp_path / "data/message=buses").to_pylist()
+    assert {row["bus"]: row["frames"] for row in rows} == names
+    for row in rows:
+        # 8 bytes in a frame with an extended ID take 131 bits, and some for stuffing.
+        assert row["yapp"] == row["frames"]
+        assert 0.8 * 131 * row["rate"] < 500_000 * row["load"] < 1.1 * 131 * row["rate"]
+        assert 0.2 > row["load_max"] >= row["load"]
+    run_tables(tmp_path, "report", path, "--out", "page.html", *how, code=0)
+    assert f"{names['can0']:,} frames, {names['can0']:,} of YAPP, load " in (tmp_path / "page.html").read_text()

@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import NoReturn
 
 # Each command imports its own: Arrow and numpy take longer than most of the rest.
@@ -38,7 +38,6 @@ def run() -> NoReturn:
     gc.set_threshold(100_000)  # imports leave no garbage
     code = main()
     sys.stdout.flush()
-    sys.stderr.flush()
     os._exit(code)  # numpy and Arrow need not be taken apart
 
 
@@ -49,8 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = _parser().parse_args(arguments)
     try:
-        code: int = given.run(given)
-        return code
+        return int(given.run(given) or 0)
     except (YappError, OSError) as error:
         _say([str(error)])
         return REFUSED if isinstance(error, SetupError | FileNotFoundError) else FAILED
@@ -82,6 +80,8 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("--rules", type=Path, metavar="FILE", help="rules: their ranges are limits in the pictures")
 
     case = commands.add_parser("case", parents=[how], help="pack a fault for the vendor: frames, card, page")
+    for command in (convert, report):
+        command.add_argument("--bitrate", type=int, metavar="500000", help="of the CAN buses: shows their load")
     for command in (report, case):
         command.add_argument("capture", metavar="CAPTURE", help="the file")
     case.add_argument("number", metavar="N", nargs="?", type=int, default=1, help="of the fault, 1 for the first")
@@ -110,7 +110,8 @@ def _parser() -> argparse.ArgumentParser:
     uninstall = commands.add_parser("uninstall", help="remove from Wireshark what was installed")
     uninstall.add_argument("--purge", action="store_true", help="remove what you changed, too")
     for name, command in commands.choices.items():
-        command.set_defaults(run=RUN.get(name, _install), what=name)
+        run = RUN.get(name, lambda given: install.run(given.what, getattr(given, "purge", False)))
+        command.set_defaults(run=run, what=name)
         lines = "\n".join(f"  yapp-tables {name} {example}".rstrip() for example in EXAMPLES[name])
         command.epilog, command.formatter_class = f"examples:\n{lines}", argparse.RawDescriptionHelpFormatter
     return parser
@@ -121,21 +122,14 @@ def _say(texts: Iterable[str]) -> None:
         print(f"yapp-tables: {text}", file=sys.stderr)
 
 
-def _install(given: argparse.Namespace) -> int:
-    return install.run(given.what, getattr(given, "purge", False))
-
-
 def _tshark(given: argparse.Namespace) -> Tshark:
-    return Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile)
+    bitrate = getattr(given, "bitrate", None)
+    return Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile, bitrate)
 
 
-class _NoPandas:
-    """Arrow imports pandas where it is installed, which takes as long as a flight of half an hour, and needs none."""
-
-    def find_spec(self, name: str, *_: object) -> None:
-        """Refuse it."""
-        if name == "pandas":
-            raise ImportError(name)
+def _refuse_pandas(name: str, *_: object) -> None:
+    if name == "pandas":
+        raise ImportError(name)
 
 
 def _convert(given: argparse.Namespace) -> int:
@@ -143,8 +137,8 @@ def _convert(given: argparse.Namespace) -> int:
 
     # The process is this command's own. What Dask has to say of lost workers it mends itself.
     logging.disable(logging.CRITICAL)
-    if given.to != "mf4":
-        sys.meta_path.insert(0, _NoPandas())
+    if given.to != "mf4":  # Arrow imports pandas where it is, which takes as long as a flight of half an hour
+        sys.meta_path.insert(0, SimpleNamespace(find_spec=_refuse_pandas))
     how = {name: getattr(given, name) for name in ("to", "jobs", "scheduler", "bench")} | vars(_tshark(given))
     results = convert(given.captures, given.out, **how)
     for result in results:
@@ -170,11 +164,10 @@ def _report(given: argparse.Namespace) -> int:
     return FAILED if flight.partial else INCOMPLETE if flight.left_out else 0
 
 
-def _case(given: argparse.Namespace) -> int:
+def _case(given: argparse.Namespace) -> None:
     from .report_page import write_case
 
     print(f"{given.out}: {write_case(Path(given.capture), given.number, _tshark(given), Path(given.out))}")
-    return 0
 
 
 def _diff(given: argparse.Namespace) -> int:
@@ -188,11 +181,10 @@ def _diff(given: argparse.Namespace) -> int:
     return found.code
 
 
-def _trend(given: argparse.Namespace) -> int:
+def _trend(given: argparse.Namespace) -> None:
     from . import trend
 
     _print(given, trend, trend.drifts(Path(given.data)))
-    return 0
 
 
 def _print(given: argparse.Namespace, module: ModuleType, found: object) -> None:

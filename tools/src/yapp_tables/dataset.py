@@ -27,7 +27,6 @@ from .tshark import Record, Tshark, check_file
 from .writers import Writer
 
 NOTES = ".yapp-tables"
-SCHEDULER_SECONDS = 10
 # What tells the form of a capture: `flight` is the name of flight.pcapng.gz.
 SUFFIXES = re.compile(r"(\.(gz|zst|lz4|pcapng|pcap|cap|log|txt|yapp|candump))+$", re.IGNORECASE)
 # The module and the function that write a kind, and the extra that it needs: imported only when it is asked for.
@@ -190,6 +189,8 @@ def convert(
     if bench and len(found) > 1:
         raise SetupError(f"{bench} is the log of one capture: name that one alone")
     writer(to)
+    if re.match(r"\w{2,}:(?!//)", str(out)):  # C: is a drive
+        raise SetupError(f"{out} is neither a folder nor a URL such as s3://bucket/folder")
     where, tshark = str(out) if "://" in str(out) else os.path.abspath(out), Tshark(**how)
     dataset = DataSet(where, to)
     # Of a single capture its own run says it.
@@ -217,7 +218,7 @@ def _executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
         return
     distributed = need("distributed", "fleet")
     try:
-        client = distributed.Client(scheduler, timeout=SCHEDULER_SECONDS)
+        client = distributed.Client(scheduler, timeout=10)
     except (OSError, ValueError) as error:
         raise SetupError(f"no Dask scheduler answers at {scheduler}: {error}") from error
     with client:
@@ -254,6 +255,7 @@ def made_by(tshark: Tshark, fields: Record) -> str:
     """Return what results of this tshark depend on, from its fields.json: plugin, catalogue, options and filter."""
     known = [f"plugin {fields['plugin']}", catalogue_version(fields), *tshark.options]
     known += [f"-C {tshark.profile}"] if tshark.profile else []
+    known += [f"bitrate {tshark.bitrate}"] if tshark.bitrate else []
     return "; ".join(known + ([tshark.filter] if tshark.filter else []))
 
 

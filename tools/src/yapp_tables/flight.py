@@ -42,7 +42,8 @@ class Flight(Mapping[str, pa.Table]):
     name, flight_id: the capture's file name, and a name of its content;
     events: (n, kind, time, ...) faults, reboots, silences, bad CRCs, lost frames; times UTC in ns, lengths in seconds;
     faults: of these the flags raised and cleared; summary: a row for each bus and ID, rates in Hz, gaps in seconds;
-    messages: {name: pyarrow.Schema}, what the catalogue says of them; plugin: its version;
+    buses: a row for each CAN bus, if bitrate is given; messages: {name: pyarrow.Schema}, of the catalogue;
+    plugin: its version;
     left_out: sentences on all that the capture has and the tables do not; empty where they are complete;
     partial: why a capture could not be read to its end; notes: sentences on copies.
     """
@@ -58,6 +59,7 @@ class Flight(Mapping[str, pa.Table]):
         named = [name for name in self.records["faults"].names if name in self.events.schema.names]
         self.faults = self.events.filter(pc.equal(self.events["kind"].cast(pa.string()), "fault")).select(named)
         self.summary = table(export.records["summary"], self.records["summary"])
+        self.buses = table(export.records["buses"], self.records["buses"])
         known = catalogue(export.fields)
         self.records["points"] = pa.schema([*self.records["points"], *map(record_column, point_columns(known))])
         self.titles: dict[str, str] = {name: schema.metadata[b"title"].decode() for name, schema in known.items()}
@@ -108,7 +110,7 @@ class Flight(Mapping[str, pa.Table]):
         def timed(rows: Iterator[Record], schema: pa.Schema) -> pa.Table:
             return table((row | {"time": Decimal(start + round(row["at"] * 1e9)).scaleb(-9)} for row in rows), schema)
 
-        records = {name: getattr(self, name) for name in ("events", "faults", "summary")} | {
+        records = {name: getattr(self, name) for name in ("events", "faults", "summary", "buses")} | {
             "steps": timed(steps(found), self.records["steps"]),
             "points": timed(points(found, bench), pa.schema(columns)),
             "flights": pa.Table.from_pylist([self._row(capture, options)], self.records["flights"]),

@@ -59,8 +59,7 @@ def faults_in(events: pa.Table) -> int:
     """Return how many incidents of the events have a fault."""
     found = events_of(events, {}, 0)
     end = max((event["at"] for event in found), default=0.0)
-    rows = fault_rows({}, found, end) + other_rows(found)
-    return sum(incident["is_fault"] for incident in joined(rows))
+    return sum(incident["is_fault"] for incident in joined(fault_rows({}, found, end) + other_rows(found)))
 
 
 def excused(events: list[Record], names: Mapping[tuple[str | None, int], str]) -> dict[str, list[tuple[float, float]]]:

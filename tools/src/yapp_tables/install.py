@@ -231,8 +231,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="?", choices=("install", "check", "uninstall"), default="install")
     parser.add_argument("--purge", action="store_true", help="with uninstall: what you changed, too")
-    given = parser.parse_args()
-    code = run(given.what, given.purge)
+    code = run(**vars(parser.parse_args()))
     if os.name == "nt" and len(sys.argv) == 1 and sys.stdin.isatty():
         input("Enter closes this window.")  # it was a double click, most likely
     return code

@@ -116,6 +116,10 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
         bands.setdefault(pictures.sources[row["number"]]["controller"], []).append((row["begin"], row["stop"]))
     count = len({source["controller"] for source in pictures.sources if not source["is_command"]})
     about = [["plugin", flight.plugin], ["yapp-tables", __version__], ["catalogue", flight.catalogue]]
+    for row in flight.buses.to_pylist():
+        text = f"{row['frames']:,} frames, {row['yapp']:,} of YAPP, load {row['load'] or 0:.1%}"
+        errors = json.loads(row["other"])["errors"].items()
+        about.append([row["bus"] or "bus", "".join([text, *(f", {count} {what}" for what, count in errors if count)])])
     data = {
         "name": flight.name,
         "epoch": start / 1e9,

@@ -32,7 +32,7 @@ TYPES |= {"boolean": pa.bool_(), "string": KIND, "text": pa.string(), "byte": pa
 # every message; the CSV has no source_file, controller and flight_id.
 OWN: dict[str, list[Record]] = json.loads(Path(__file__).with_name("tables.json").read_text(encoding="utf-8"))
 HEAD = {each["name"]: TYPES[each["type"]] for each in OWN["head"]}
-TABLES = ("events", "faults", "summary", "steps", "points", "flights")
+TABLES = ("events", "faults", "summary", "buses", "steps", "points", "flights")
 # The types of fields.json that need no second look, and their roles.  A time is the controller's own clock.
 ROLES = {
     "float": (pa.float64(), "value"),
@@ -76,8 +76,9 @@ def messages(fields: Record) -> dict[str, pa.Schema]:
 
 
 def differences(entry: Record) -> list[Record]:
-    """Return the values of a message that are a column `of` less a column `less`."""
-    return [row for row in entry.get("formulas") or () if row["operator"] == "-"]
+    """Return the values of a message that are a column `of` less a column `less`, and no column of the CSV."""
+    known = {each["name"] for each in entry["columns"]}
+    return [row for row in entry.get("formulas") or () if row["operator"] == "-" and row["name"] not in known]
 
 
 def _column(entry: Record, names: Iterable[str]) -> pa.Field:
@@ -158,8 +159,9 @@ def columns_of(fields: Record, name: str) -> pa.Schema:
     if name == "events":  # a fault is an event, too
         described = [*described, *fields["statistics"]["faults"]["columns"]]
     found = list({each["name"]: record_column(each) for each in described if each["type"] in TYPES}.values())
-    behind = [each.name for each in found].index("source") + 1
-    found[behind:behind] = map(record_column, OWN["controller"])
+    if name != "buses":
+        behind = [each.name for each in found].index("source") + 1
+        found[behind:behind] = map(record_column, OWN["controller"])
     return pa.schema(found if name == "faults" else [*found, *map(record_column, OWN["other"])])
 
 

@@ -55,7 +55,8 @@ class Tshark:
     """How tshark is called: everything that all captures of one command have in common.
 
     tshark: a path or a name in PATH, None for the usual places; plugin: yapp.lua where it is not installed;
-    options: preferences, ["yapp.motor_ids:0x210,0x211"]; filter: a display filter; profile: a profile of Wireshark's.
+    options: preferences, ["yapp.motor_ids:0x210,0x211"]; filter: a display filter, only these messages are taken;
+    profile: a profile of Wireshark's; bitrate: of the CAN buses, for a table of these, which takes longer.
     """
 
     tshark: str | os.PathLike[str] | None = None
@@ -63,6 +64,7 @@ class Tshark:
     options: Sequence[str] = ()
     filter: str | None = None
     profile: str | None = None
+    bitrate: int | None = None
 
     def export(self, capture: Path, folder: Path, more: Sequence[str] = ("summary,brief,json",)) -> Export:
         """Write a capture's messages to folder, which is made. more: statistics besides, a summary among them.
@@ -71,7 +73,8 @@ class Tshark:
         """
         folder.mkdir(parents=True)
         # Relative to tshark's own folder: a comma in a path would end the option.
-        done = self._ask(capture, ["csv,csv", "events,json", *more], folder)
+        buses = [f"buses,bitrate={self.bitrate},json"] if self.bitrate else []
+        done = self._ask(capture, ["csv,csv", "events,json", *buses, *more], folder)
         if os.strerror(errno.ENOSPC) in done.stderr:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         described = folder / "csv/fields.json"
@@ -80,9 +83,10 @@ class Tshark:
         lines = _said(done)
         notes = tuple(line for line in lines if COPIES.search(line))
         lacks = tuple(line for line in lines if line not in notes)
-        records: dict[str, list[Record]] = {"check": [], "events": [], "summary": []}
+        records: dict[str, list[Record]] = {name: [] for name in ("check", "events", "buses", "summary")}
+        keys = {"rule": "check", "kind": "events", "yapp": "buses"}  # of the others' lines
         for record in _json_lines(done.stdout):
-            records["check" if "rule" in record else "events" if "kind" in record else "summary"].append(record)
+            records[next((name for key, name in keys.items() if key in record), "summary")].append(record)
         return Export(described.parent, fields, records, partial, lacks, notes)
 
     def ask(self, capture: Path, statistics: Sequence[str], rules: str = "") -> tuple[list[Record], list[str], str]:
@@ -121,11 +125,8 @@ class Tshark:
             if not script.is_file():
                 raise SetupError(f"no plugin at {path}: --plugin names the plugin's yapp.lua")
             command += ["-X", f"lua_script:{script.resolve()}"]
-        if self.profile is not None:
-            command += ["-C", self.profile]
-        for option in self.options:
-            command += ["-o", option]
-        return command
+        command += ["-C", self.profile] if self.profile else []
+        return command + [word for option in self.options for word in ("-o", option)]
 
     def _ask(self, capture: Path, wanted: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
         check_file(capture)
