@@ -52,7 +52,7 @@ needs-all: needs-tests needs-bench needs-gui needs-tools-packages
 demo: needs-tshark
 	@tests/demo "$(or $(CAPTURE),$(DEMO))"
 
-## What a developer runs after every change: each behaviour once, in three and a half minutes on two cores
+## What a developer runs after every change: each behaviour once, in three minutes on two idle cores
 test: lint unit e2e
 
 ## What CI runs: everything on this machine's Wireshark with its memory checked (docs/reliability.md), the other ones of 4.0,
@@ -160,16 +160,16 @@ release: needs-hatchling
 TOOLS_VENV := $(HOME)/.cache/yapp-tools
 TOOLS := $(TOOLS_VENV)/bin
 
-needs-tools-packages: needs-tshark
-	$(call install-missing,python3 chromium chromedriver termshark,python3 python3-venv chromium chromium-driver termshark,\
-	  python3 -c 'import ensurepip' 2>/dev/null)
+needs-tools-packages:
+	$(call install-missing,chromium chromedriver termshark,chromium chromium-driver termshark)
 
-needs-tools: needs-tools-packages
+needs-tools: needs-tshark
+	$(call install-missing,python3,python3 python3-venv,python3 -c 'import ensurepip' 2>/dev/null)
 	@[ -x $(TOOLS)/python ] || python3 -m venv $(TOOLS_VENV)
 	@$(TOOLS)/pip install -q -e './tools[test]'
 
 ## The Python package in tools/: ruff, mypy and its tests
-test-tools: needs-tools
+test-tools: needs-tools needs-tools-packages
 	$(TOOLS)/ruff check --config tools/pyproject.toml tools/src tests/tools
 	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools/src tests/tools
 	$(TOOLS)/mypy --config-file tools/pyproject.toml tools/src

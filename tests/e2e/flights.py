@@ -320,7 +320,7 @@ def undefined(sender, payload):
 
 
 def clock_of(sender, payload):
-    count = next(count for _, _, kind, count in sender.message.counts(payload) if kind is None)
+    count = next((count for _, _, kind, count in sender.message.counts(payload) if kind is None), 0)  # 0 without a clock
     return count - (count >> 63 << 64)
 
 
@@ -397,9 +397,9 @@ class Flight:
             self.add_bus(bus)
         if is_shared:
             self.share(seed)
+        self.choose_names()
         others = random.Random(f"others {seed}")  # of its own, so that the rest of a flight stays as it was
         self.senders += [Sender(others, others.randrange(len(self.names)), KIND[name], name, is_clean) for name in OTHERS]
-        self.choose_names()
         self.collect()
 
     def add_bus(self, bus):
@@ -460,7 +460,7 @@ class Flight:
         for sender in self.senders:
             for message in sender.fly(self.begin, self.end).messages:
                 frames += message.frames
-        for _ in range(len(frames) // 10):
+        for _ in range(sum(frame.origin.sender.kind not in OTHERS for frame in frames) // 10):
             frames.append(Placed(0x18FEF100 | rng.randrange(256), rng.randbytes(8), bus=rng.randrange(len(self.names)),
                                  at=rng.randrange(self.begin, self.end + (0 if self.is_clean else SECOND))))
         frames.sort(key=lambda frame: frame.at)

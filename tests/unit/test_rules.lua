@@ -9,6 +9,7 @@ local judge = require("yapp.stat.judge")
 local levels = require("levels")
 local memo = require("yapp.base.memo")
 local options_of = require("yapp.stat.options")
+local rules_of = require("yapp.stat.rules")
 
 local T = { setUp = answers.setUp, tearDown = answers.tearDown }
 
@@ -314,6 +315,7 @@ local function read_rows(printed)
 end
 
 function T.test_random_rules()
+  local tried = {}
   for seed = 1, levels.size(40, 1000) do
     math.randomseed(seed)
     local messages, events = random_messages()
@@ -323,6 +325,7 @@ function T.test_random_rules()
       rules[i] = random_rule()
       texts[i] = rules[i].text
       if rules[i].measure == "special" then has_special[rules[i].field] = true end
+      tried[rules[i].measure] = true
     end
     local what = "check,json," .. table.concat(texts, ",")
     local rows = read_rows((answers.run({ what }, events, { catalogue = CATALOGUE })))
@@ -339,6 +342,9 @@ function T.test_random_rules()
         lu.assertEquals({ found.worst, found.note }, { expected.worst, expected.note }, where)
       end
     end
+  end
+  for _, row in ipairs(rules_of.OF_FIELD) do
+    lu.assertTrue(tried[row.name == "value" and "" or row.name], row.name .. " has no random rule")
   end
 end
 

@@ -41,11 +41,56 @@ function M.has_said(text)
   return is_said[text]
 end
 
+-- The preferences besides the IDs of the messages: name, constructor, title, default, description
+-- (%s: the messages' periods), and the constructor's last argument.
+local ROWS = {
+  { "sources", "string", "Names of sources", "",
+    "What to call an ID, everywhere or on one bus, and which message it carries: " ..
+    "0x210=motor:left_fore, can1/0x210=motor:right_fore, 0x212=left_tail. Several IDs have " ..
+    "one name with a plus between them: can0/0x000+0x200+0x210=left. A range names each of " ..
+    "its IDs: can0/0x210-0x213=motor:M1..M4. A bus alone names all of " ..
+    "its IDs: can2=tail. An interface without a name is if0 or if1, its number in the file." },
+  { "messages", "string", "File with your own messages", "",
+    "A Lua file like taurus_fields.lua. Its messages come after those of yapp_messages.lua in " ..
+    "the personal configuration folder, which needs no setting. It is read when Wireshark " ..
+    "starts, from the default profile's setting: a change takes effect at the next start. " ..
+    "For one run alone set the environment variable YAPP_MESSAGES." },
+  { "hide_source", "bool", "Leave the source out of Info", false,
+    "Switch it on if a column shows yapp.source, as in the profile YAPP: Info and the tree " ..
+    "then say Motor Data instead of Motor Data left. A message with a fault or a warning " ..
+    "keeps its source, for the expert information." },
+  { "hide_values", "bool", "Leave values out of Info that have columns", false,
+    "Switch it on if columns show speed, voltage and current, as in the profile YAPP: Info " ..
+    "then has the other values of Motor Data." },
+  { "late", "string", "Report a gap longer than ... periods", "2.5",
+    "A longer gap between two messages of a source is a warning, yapp.late. At 2.5 a single " ..
+    "lost message causes no warning. Periods: %s." },
+  { "all_extended", "bool", "All extended CAN frames are YAPP", false,
+    "Switch it on for a bus that carries nothing but YAPP: you see unknown IDs, other YAPP " ..
+    "CTL values and malformed frames, too. By default the plugin takes only what is surely " ..
+    "YAPP." },
+  { "search_all", "bool", "Look for YAPP in all TCP, UDP and USB traffic", false,
+    "The plugin finds YAPP in TCP, UDP and USB by itself in live captures, and in files whose " ..
+    "first 64 KB have a header. Switch it on if YAPP comes later in your files. It costs " ..
+    "about 1 µs for each packet that no other dissector takes." },
+  { "divisor", "enum", "Compressed floats divide by", 5, -- see message.field_kinds
+    "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed " ..
+    "in the worked examples of the vendor's document (0.4975 A, 749.26 RPM).",
+    {
+      { 1, "2^N - 6 (mapping)", 5 },
+      { 2, "2^N - 5 (worked examples)", 4 },
+    } },
+  { "user_dlt", "range", "Link types that carry a serial stream", "",
+    "147 to 162, the numbers of DLT_USER0 to DLT_USER15. Set it for serial captures with such " ..
+    "a link type, if Wireshark's DLT_USER table is not convenient: this preference overrides " ..
+    "that table. Usually empty.",
+    LAST_DLT },
+}
+
 --- Give a protocol its preferences.
 -- proto     Proto
 -- messages  the message types
--- returns   a list of rows: { name, constructor, title, default, description, and the
---           constructor's last argument }
+-- returns   a list of rows as ROWS, those of the messages first
 function M.define(proto, messages)
   local of_messages = mapped(messages, function(message)
     local title, id = message.title, ("0x%x"):format(message.id)
@@ -58,49 +103,8 @@ function M.define(proto, messages)
   local periods = mapped(messages, function(message)
     return message.every and ("%s %g s"):format(message.title, message.every)
   end)
-  local rows = joined(of_messages, {
-    { "sources", "string", "Names of sources", "",
-      "What to call an ID, everywhere or on one bus, and which message it carries: " ..
-      "0x210=motor:left_fore, can1/0x210=motor:right_fore, 0x212=left_tail. Several IDs have " ..
-      "one name with a plus between them: can0/0x000+0x200+0x210=left. A range names each of " ..
-      "its IDs: can0/0x210-0x213=motor:M1..M4. A bus alone names all of " ..
-      "its IDs: can2=tail. An interface without a name is if0 or if1, its number in the file." },
-    { "messages", "string", "File with your own messages", "",
-      "A Lua file like taurus_fields.lua. Its messages come after those of yapp_messages.lua in " ..
-      "the personal configuration folder, which needs no setting. It is read when Wireshark " ..
-      "starts, from the default profile's setting: a change takes effect at the next start. " ..
-      "For one run alone set the environment variable YAPP_MESSAGES." },
-    { "hide_source", "bool", "Leave the source out of Info", false,
-      "Switch it on if a column shows yapp.source, as in the profile YAPP: Info and the tree " ..
-      "then say Motor Data instead of Motor Data left. A message with a fault or a warning " ..
-      "keeps its source, for the expert information." },
-    { "hide_values", "bool", "Leave values out of Info that have columns", false,
-      "Switch it on if columns show speed, voltage and current, as in the profile YAPP: Info " ..
-      "then has the other values of Motor Data." },
-    { "late", "string", "Report a gap longer than ... periods", "2.5",
-      "A longer gap between two messages of a source is a warning, yapp.late. At 2.5 a single " ..
-      "lost message causes no warning. Periods: " .. table.concat(periods, ", ") .. "." },
-    { "all_extended", "bool", "All extended CAN frames are YAPP", false,
-      "Switch it on for a bus that carries nothing but YAPP: you see unknown IDs, other YAPP " ..
-      "CTL values and malformed frames, too. By default the plugin takes only what is surely " ..
-      "YAPP." },
-    { "search_all", "bool", "Look for YAPP in all TCP, UDP and USB traffic", false,
-      "The plugin finds YAPP in TCP, UDP and USB by itself in live captures, and in files whose " ..
-      "first 64 KB have a header. Switch it on if YAPP comes later in your files. It costs " ..
-      "about 1 µs for each packet that no other dissector takes." },
-    { "divisor", "enum", "Compressed floats divide by", 5, -- see message.field_kinds
-      "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed " ..
-      "in the worked examples of the vendor's document (0.4975 A, 749.26 RPM).",
-      {
-        { 1, "2^N - 6 (mapping)", 5 },
-        { 2, "2^N - 5 (worked examples)", 4 },
-      } },
-    { "user_dlt", "range", "Link types that carry a serial stream", "",
-      "147 to 162, the numbers of DLT_USER0 to DLT_USER15. Set it for serial captures with such " ..
-      "a link type, if Wireshark's DLT_USER table is not convenient: this preference overrides " ..
-      "that table. Usually empty.",
-      LAST_DLT },
-  })
+  for _, row in ipairs(ROWS) do row[5] = row[5]:format(table.concat(periods, ", ")) end
+  local rows = joined(of_messages, ROWS)
   for _, row in ipairs(rows) do proto.prefs[row[1]] = Pref[row[2]](unpack(row, 3, 6)) end
   return rows
 end
