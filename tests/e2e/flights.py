@@ -399,7 +399,10 @@ class Flight:
             self.share(seed)
         self.choose_names()
         others = random.Random(f"others {seed}")  # of its own, so that the rest of a flight stays as it was
-        self.senders += [Sender(others, others.randrange(len(self.names)), KIND[name], name, is_clean) for name in OTHERS]
+        for name in OTHERS:
+            sender = Sender(others, others.randrange(len(self.names)), KIND[name], name, is_clean)
+            self.senders.append(sender)
+            self.by_bus[sender.bus, sender.ident] = (f"{name}:", f"{name}_{sender.bus}")
         self.collect()
 
     def add_bus(self, bus):

@@ -53,6 +53,7 @@ function T.test_which_sizes_fit()
   local r = new("can1/0x210=health:")
   lu.assertEquals({ r:size_of(0x210) }, { 32, 32 })
   lu.assertEquals(r:new_source(0x210, 1, "can1").size, 17)
+  lu.assertEquals(r:new_source(0x211, 2, "can1").text, "can1 0x211") -- of a bus that shows later
   lu.assertNil(r:size_of(0x123))
 end
 

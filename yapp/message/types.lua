@@ -68,6 +68,11 @@ local function label_of(message_type, title, name, id, bus)
   return bus and ("%s (%s)"):format(title, bus) or title
 end
 
+-- Return the name of a bus of several: also of one that shows when the capture is open.
+local function bus_of_several(self, bus_key, bus, line)
+  return (self.options.several_buses or not line and (bus_key or 1) > 1) and bus
+end
+
 --- Make a source, which is a bus or stream, and an ID.
 -- bus_key  of the bus or stream, or false
 -- bus      its name, nil if the capture names none
@@ -84,7 +89,7 @@ end
 function Types:new_source(id, bus_key, bus, line)
   local options, message_type, name, row = self.options, self.sources:find(bus, id)
   message_type = message_type or self.by_id[id]
-  local known, several_bus = message_type or NONE, options.several_buses and bus
+  local known, several_bus = message_type or NONE, bus_of_several(self, bus_key, bus, line)
   local title, before = known.title or ("ID 0x%x"):format(id), several_bus
   if line then before = line.label end
   local label = label_of(message_type, title, name, id, several_bus)
