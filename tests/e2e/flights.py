@@ -400,9 +400,8 @@ class Flight:
         self.choose_names()
         others = random.Random(f"others {seed}")  # of its own, so that the rest of a flight stays as it was
         for name in OTHERS:
-            sender = Sender(others, others.randrange(len(self.names)), KIND[name], name, is_clean)
-            self.senders.append(sender)
-            self.by_bus[sender.bus, sender.ident] = (f"{name}:", f"{name}_{sender.bus}")
+            self.senders.append(Sender(others, others.randrange(len(self.names)), KIND[name], name, is_clean))
+            self.by_bus[self.senders[-1].bus, KIND[name]] = (f"{name}:", name)
         self.collect()
 
     def add_bus(self, bus):

@@ -114,6 +114,7 @@ def test_a_full_disk_is_a_sentence_and_leaves_no_half_file(make_capture, yapp_ta
         (["flight.pcap", "--to", "csv", "--out", "data", "--plugin", "none.lua"], 2, "no plugin at"),
         (["flight.pcap", "--to", "csv", "--out", "nosuch://bucket/data"], 2, "nosuch"),
         (["flight.pcap", "--to", "csv", "--out", "s3://bucket"], 2, "names no folder"),
+        (["flight.pcap", "--out", "s3:/bucket/data"], 2, "neither a folder nor a URL"),
     ],
 )
 def test_bad_input_gets_a_sentence(make_capture, yapp_tables, arguments, code, sentence):

@@ -143,13 +143,6 @@ def test_many_open_a_new_data_set_at_once(tmp_path):
         assert len(list(DataSet(str(tmp_path / f"data{data}"), "csv").results())) == 8
 
 
-def test_a_url_with_a_slip_is_no_folder(make_capture, tmp_path):
-    flight(make_capture, "flights/a.pcapng")
-    assert "s3:/bucket/data is neither a folder nor a URL" in convert(
-        tmp_path, "flights/a.pcapng", out="s3:/bucket/data", code=2
-    )
-
-
 def test_delta_tables_of_several_workers_one_of_which_is_killed(make_capture, tmp_path):
     count = 12
     for number in range(count):

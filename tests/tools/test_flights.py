@@ -140,17 +140,16 @@ def test_what_tshark_refuses_is_said_in_one_sentence(flight, tmp_path, arguments
 
 
 def test_buses_in_tables_and_on_the_page(flight, tmp_path):
-    path = flight[0]
-    command = ["tshark", "-r", path, "-T", "fields", "-e", "frame.interface_name", "-Y", "can"]
+    command = ["tshark", "-r", flight[0], "-T", "fields", "-e", "frame.interface_name", "-Y", "can"]
     names = Counter(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
     how = ["--bitrate", "500000", *OPTIONS, "--plugin", PLUGIN]
-    run_tables(tmp_path, "convert", path, "--to", "parquet", "--out", "data", *how, code=0)
+    run_tables(tmp_path, "convert", flight[0], "--to", "parquet", "--out", "data", *how, code=0)
     rows = pq.read_table(tmp_path / "data/message=buses").to_pylist()
     assert {row["bus"]: row["frames"] for row in rows} == names
     for row in rows:
-        # 8 bytes in a frame with an extended ID take 131 bits, and some for stuffing.
         assert row["yapp"] == row["frames"]
-        assert 0.8 * 131 * row["rate"] < 500_000 * row["load"] < 1.1 * 131 * row["rate"]
+        bits = 131 * row["rate"]  # of 8 bytes with an extended ID, besides stuffing
+        assert 0.8 * bits < 500_000 * row["load"] < 1.1 * bits
         assert 0.2 > row["load_max"] >= row["load"]
-    run_tables(tmp_path, "report", path, "--out", "page.html", *how, code=0)
+    run_tables(tmp_path, "report", flight[0], "--out", "page.html", *how, code=0)
     assert f"{names['can0']:,} frames, {names['can0']:,} of YAPP, load " in (tmp_path / "page.html").read_text()
