@@ -255,7 +255,7 @@ def made_by(tshark: Tshark, fields: Record) -> str:
     """Return what results of this tshark depend on, from its fields.json: plugin, catalogue, options and filter."""
     known = [f"plugin {fields['plugin']}", catalogue_version(fields), *tshark.options]
     known += [f"-C {tshark.profile}"] if tshark.profile else []
-    known += [f"bitrate {tshark.bitrate}"] if tshark.bitrate else []
+    known += [f"bitrate {tshark.bitrate}"] if tshark.bitrate is not None else []
     return "; ".join(known + ([tshark.filter] if tshark.filter else []))
 
 

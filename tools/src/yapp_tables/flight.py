@@ -42,8 +42,8 @@ class Flight(Mapping[str, pa.Table]):
     name, flight_id: the capture's file name, and a name of its content;
     events: (n, kind, time, ...) faults, reboots, silences, bad CRCs, lost frames; times UTC in ns, lengths in seconds;
     faults: of these the flags raised and cleared; summary: a row for each bus and ID, rates in Hz, gaps in seconds;
-    buses: a row for each CAN bus, if bitrate is given; messages: {name: pyarrow.Schema}, of the catalogue;
-    plugin: its version;
+    buses: a row for each CAN bus, if bitrate is given; plugin: its version;
+    messages: {name: pyarrow.Schema}, what the catalogue says of them;
     left_out: sentences on all that the capture has and the tables do not; empty where they are complete;
     partial: why a capture could not be read to its end; notes: sentences on copies.
     """

@@ -73,7 +73,7 @@ class Tshark:
         """
         folder.mkdir(parents=True)
         # Relative to tshark's own folder: a comma in a path would end the option.
-        buses = [f"buses,bitrate={self.bitrate},json"] if self.bitrate else []
+        buses = [f"buses,bitrate={self.bitrate},json"] if self.bitrate is not None else []
         done = self._ask(capture, ["csv,csv", "events,json", *buses, *more], folder)
         if os.strerror(errno.ENOSPC) in done.stderr:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
