@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Write docs/filters.md, the reference of all filter names, from what tshark says of the plugin: filters_page.py [FILE]
+Without a FILE, the rules of a message in docs/rules.md, too.
 
 `tshark -G fields` has names, types, titles and descriptions, `-G values` the meanings of numbers,
 `-G currentprefs` the preferences. For -G tshark loads plugins from a plugin folder only, so the plugin is copied into an
@@ -17,6 +18,7 @@ import tempfile
 import textwrap
 
 TOP = pathlib.Path(__file__).resolve().parents[1]
+FILTERS, RULES = TOP / "docs/filters.md", TOP / "docs/rules.md"
 PLUGIN = ("yapp.lua", "taurus_fields.lua", "yapp")
 ROOT_IS_REFUSED = os.geteuid() == 0  # Wireshark 4.4 and later run no plugin as root
 HEAD = """# Filters
@@ -92,7 +94,7 @@ def preferences(text):
             f"{textwrap.fill(about, 100, break_on_hyphens=False)}\n" for about, name, value in found]
 
 
-def page(home):
+def page(home, found):
     known, values = fields(ask(home, "fields")), meanings(ask(home, "values"))
     has_description = [row for row in known if row[4]]
     experts = sorted((f"`{name}`", title) for name, kind, _, title, about in known if kind == "FT_NONE" and not about)
@@ -111,12 +113,9 @@ def page(home):
     for group, rows in sorted(groups.items(), key=lambda one: (one[0] != "yapp", one[0])):
         parts += [f"\n## Fields of {group}\n\n", table(["filter", "type", "meaning"], sorted(rows))]
     parts += ["\n## Expert items\n\n`tshark -z expert` counts them.\n\n", table(["filter", "meaning"], experts)]
-    found = inventory(home)
     kinds = [(f"`{row['name']}`", row["text"], f"`{row['keys']}`" if row["keys"] else "") for row in found["kinds"]]
-    parts += ["\n## Events\n\nThe kinds of `-z yapp,events`, with their keys in JSON. `NAME=N` is a rule.\n\n",
+    parts += ["\n## Events\n\nThe kinds of `-z yapp,events`, with their keys in JSON. `NAME=N` is a [rule](rules.md#rules).\n\n",
               table(["kind", "text", "keys"], kinds)]
-    parts += ["\n## Rules\n\nOf `-z yapp,check`, see [rules.md](rules.md).\n\n",
-              table(["rule", "meaning"], [(f"`{row['text']}`", row["help"]) for row in found["rules"]])]
     parts += ["\n## Preferences\n\n*Preferences > Protocols > YAPP*, or `-o NAME:VALUE`.\n",
               *preferences(ask(home, "currentprefs"))]
     return "".join(parts)
@@ -133,8 +132,14 @@ def main(target):
         shutil.copy(TOP / "docs/first.pcapng", home / "run.pcapng")
         for path in [home, *home.rglob("*")]:
             path.chmod(0o755)
-        target.write_text(page(home), encoding="utf-8")
+        found = inventory(home)
+        target.write_text(page(home, found), encoding="utf-8")
+    if target == FILTERS:
+        rules = table(["rule of a message", "holds if, for each source,"], [(f"`{row['text']}`", row["help"]) for row in found["rules"]])
+        before, head, after = RULES.read_text(encoding="utf-8").partition("| rule of a message ")
+        assert head, "docs/rules.md has no table of the rules of a message"
+        RULES.write_text(before + rules + "\n" + after.partition("\n\n")[2], encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main(pathlib.Path(sys.argv[1]) if len(sys.argv) > 1 else TOP / "docs/filters.md")
+    main(pathlib.Path(sys.argv[1]) if len(sys.argv) > 1 else FILTERS)
