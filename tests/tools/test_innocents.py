@@ -101,7 +101,7 @@ def test_a_bus_that_was_silent_is_one_sentence(tmp_path):
     assert re.fullmatch(r"silence of all 4 controllers 2\.\d{3} s at 0:29\.\d{3}\.", lines["can1"]), lines
     phases = re.search(r'<p id="phases".*?>(.*?)</p>', (tmp_path / "page.html").read_text())[1]
     names = ", ".join(f"{name} (can{name[0] == 'R':d})" for name in planted.NAMES)
-    assert phases.startswith(f"Nothing found of {names}, the buses. In flight (by speed) "), phases
+    assert phases.startswith(f"No findings about {names}, the buses. In flight (by speed) "), phases
 
 
 def test_a_silence_of_damaged_messages_says_so():

@@ -264,7 +264,7 @@ def _phases(data: Record) -> str:
     found = {*causes(data), *(row["label"] for row in data["incidents"])}
     innocent = [label for label in data["controllers"] if label not in found]
     innocent += [] if any("bus" in row["kinds"] for row in data["incidents"]) else ["the buses"]
-    flight = f"Nothing found of {', '.join(innocent)}. {flight}" if innocent else flight
+    flight = f"No findings about {', '.join(innocent)}. {flight}" if innocent else flight
     limits = ", ".join(data["limits"])
     if data["has_default_limits"]:
         return f"{flight}Limits: the default set of this page, not yours: {limits}; --rules FILE draws yours."
