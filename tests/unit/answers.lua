@@ -79,7 +79,7 @@ local function settings_of(with)
   if with.sources_text then sources = sources_of.parse(with.sources_text, catalogue) end
   local ids = with.ids or {}
   for _, message in ipairs(catalogue.messages) do ids[message.name] = ids[message.name] or { message.id } end
-  return { published = { fields = {}, experts = {}, preferences = {} }, version = "9.8.7", catalogue = catalogue, late = 2.5, sources = sources, ids = ids,
+  return { published = with.published or { fields = {}, experts = {}, preferences = {} }, version = "9.8.7", catalogue = catalogue, late = 2.5, sources = sources, ids = ids,
     problems = { with.problem } }
 end
 

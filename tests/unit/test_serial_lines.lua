@@ -4,7 +4,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local lines = require("yapp.serial.lines")
 
-local TCP, UDP = lines.TCP, lines.UDP
+local TCP, UDP = 2, 3 -- pinfo.port_type
 local COMMAND, MOTOR = { name = "command" }, { name = "motor", answers = "command" }
 
 local function new(named)
@@ -50,12 +50,14 @@ function T.test_serial_lines_and_dumps()
   local self = new()
   lu.assertFalse(self.has_serial)
   local first, second = self:of(0, "", 0, "", 0, 1), self:of(0, "", 0, "", 0, 2)
-  lu.assertEquals({ first.bus, second.bus, first.bus_key, second.bus_key }, { "if1", "if2", "serial", "serial" })
+  lu.assertEquals({ first.bus, second.bus, first.bus_key, second.bus_key, first.has_address }, { "if1", "if2", "serial", "serial", false })
+  for bus = 0, 1 do lu.assertFalse(self:of(0, "", 0, "", 0, bus) == self:of(0, "", 0, "", 0)) end
   lu.assertTrue(self.has_serial)
   lu.assertTrue(self:of(UDP, "", 0, "", 0).is_complete)
   lu.assertEquals(self:source(first).bus, "if1") -- of bytes of no frame
   lu.assertIs(self:source(first, 0x210).skipped, self:source(first))
   local adapter = self:of_adapter("usb1.6.1#rx", "usb1.6")
+  lu.assertIs(self:of_adapter("usb1.6.1#rx", "usb1.6"), adapter)
   lu.assertEquals({ adapter.bus, adapter.bus_key, adapter.has_address }, { "usb1.6.1#rx", "usb1.6", true })
 end
 

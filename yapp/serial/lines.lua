@@ -58,7 +58,7 @@ end
 
 -- Return a text for one direction of a conversation on a bus.
 local function key_of(kind, from, port, to, to_port, bus)
-  return ("%d %s %d %s %d %d"):format(kind, from, port, to, to_port, bus or 0)
+  return ("%d %s %d %s %d %s"):format(kind, from, port, to, to_port, bus)
 end
 
 --- Return the line of a packet.
