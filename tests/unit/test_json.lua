@@ -46,9 +46,4 @@ function T.test_objects_keep_the_order_of_their_keys()
   lu.assertEquals(json.object({}, {}).json, "{}")
 end
 
-function T.test_seconds()
-  lu.assertEquals(json.seconds(0.25).json, "0.250000000")
-  lu.assertNil(json.seconds(nil))
-end
-
 return T

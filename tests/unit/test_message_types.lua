@@ -111,15 +111,6 @@ function T.test_the_id_is_told_where_it_is_not_the_default()
     { "Health 0x205", "Health 0x205", "Motor Data", "Command" })
 end
 
--- A sender in UDP or TCP has the name of its address.
-function T.test_what_a_sender_is_called()
-  local line = { label = "…12:40000" }
-  local function text(sources_text)
-    return new(sources_text, nil, true):new_source(0x211, false, "192.168.1.12:40000", line).text
-  end
-  lu.assertEquals({ text(""), text("192.168.1.12/0x211=left") }, { "…12:40000 0x211", "left" })
-end
-
 -- The time of a message in a raw dump is its controller's.
 function T.test_the_time_of_a_message()
   local r, second = new(), "\0\202\154\59\0\0\0\0"

@@ -84,8 +84,9 @@ local T = {}
 
 function T.test_what_the_capture_cut()
   holds { { 1, A:sub(1, 20), "truncated 5 @0 -5", truncated = true }, { 2, A, "good 5 @0" } }
-  local finding = new():add(packet_of { 1, "ok" .. A:sub(1, 20), truncated = true }, true).findings[2]
-  lu.assertEquals(finding.status, "truncated")
+  local bytes = "ok" .. A:sub(1, 20)
+  local finding = new():add(packet_of { 1, bytes, truncated = true }, true).findings[2]
+  lu.assertEquals(streams.new_transfer(finding, bytes).anomalies, { { expert = "truncated" } })
 end
 
 -- "a incomplete 5 of 3": stream, status, ID and last packet of each frame that waits when the capture ends.
