@@ -100,15 +100,6 @@ function T.test_frames_that_may_be_messages()
   lu.assertFalse(events.has_messages)
 end
 
-function T.test_a_message()
-  local events, list = new_events()
-  local change = {}
-  report_message(events, message { change = change, is_unreliable = true })
-  lu.assertEquals({ list[1].frame, list[1].time, list[1].seq, list[1].raws ~= nil }, { 1, 0.5, 0, true })
-  lu.assertIs(list[1].values.change, change)
-  lu.assertIs(list[1].source, SOURCE)
-end
-
 -- What follows from a message comes behind it; a silence in front of it.
 function T.test_what_follows_from_a_message()
   local events, list = new_events()
@@ -125,9 +116,14 @@ function T.test_what_follows_from_a_message()
   end
   lu.assertEquals(texts, { "1 message ", "1 fault raised", "1 silence ", "2 message ", "2 missing 2", "2 reboot ",
     "3 message ", "3 fault cleared", "3 silence " })
+  lu.assertIs(list[1].source, SOURCE)
   lu.assertEquals({ list[8].values.active.text, list[1].faults, list[7].faults }, { "1.000000", { fault } })
   lu.assertEquals({ events.states[1].room, events.states[1].room_at_end }, { 8, 89 })
   lu.assertIs(list[2].cause, list[1])
+  for frame = 1, 2 do -- equal stamps of two packets tell nothing
+    local values = events_of.fault_event({ frame = frame, at = 1, source = SOURCE }, fault, "cleared").values
+    lu.assertEquals(values.active and values.active.text, frame == 1 and "0.000000" or nil)
+  end
 end
 
 function T.test_values_that_are_not_defined()

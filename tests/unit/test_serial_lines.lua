@@ -12,7 +12,7 @@ local function new(named)
   function types.type_of(_, id) return ({ [0] = COMMAND, [0x210] = MOTOR })[id] end
   types.sources = { names_bus = function(_, bus) return bus == named end }
   function types.new_source(_, id, bus_key, bus) return { id = id, bus_key = bus_key, bus = bus } end
-  return lines.new(types, { name = function(_, bus) return bus and "if" .. bus end })
+  return lines.new(types, { name = function(_, bus) return "if" .. (bus or 0) end })
 end
 
 local T = {}
@@ -28,7 +28,7 @@ function T.test_sources_in_udp_and_tcp()
     lu.assertIs(there.conversation, back.conversation)
     lu.assertFalse(there.conversation == again.conversation)
     local motor, command = self:source(there, 0x210), self:source(back, 0)
-    lu.assertEquals({ motor.bus, command.bus, command.bus_key }, { "10.0.0.1", "10.0.0.1", motor.bus_key })
+    lu.assertEquals({ motor.bus, command.bus, command.bus_key }, { "10.0.0.1", there.label, motor.bus_key })
     lu.assertIs(self:source(again, 0x210), motor)
     lu.assertEquals(self:source(back, 0x123).bus, "10.0.0.9")
     lu.assertEquals({ there.is_tcp, there.is_datagram }, { kind == TCP, kind == UDP })
@@ -50,8 +50,11 @@ function T.test_serial_lines_and_dumps()
   local self = new()
   lu.assertFalse(self.has_serial)
   local first, second = self:of(0, "", 0, "", 0, 1), self:of(0, "", 0, "", 0, 2)
-  lu.assertEquals({ first.bus, second.bus, first.bus_key, second.bus_key, first.has_address }, { "if1", "if2", "serial", "serial", false })
-  for bus = 0, 1 do lu.assertFalse(self:of(0, "", 0, "", 0, bus) == self:of(0, "", 0, "", 0)) end
+  local only = self:of(0, "", 0, "", 0) -- the only interface needs no label
+  lu.assertEquals({ first.bus, second.bus, only.bus }, { "if1", "if2", "if0" })
+  lu.assertEquals({ first.bus_key, second.bus_key, first.has_address }, { "serial", "serial", false })
+  lu.assertEquals({ first.label, second.label, only.label }, { "if1", "if2" })
+  for bus = 0, 1 do lu.assertFalse(self:of(0, "", 0, "", 0, bus) == only) end
   lu.assertTrue(self.has_serial)
   lu.assertTrue(self:of(UDP, "", 0, "", 0).is_complete)
   lu.assertEquals(self:source(first).bus, "if1") -- of bytes of no frame

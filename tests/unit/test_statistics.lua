@@ -804,6 +804,8 @@ function T.test_messages_that_may_hide_faults()
     { title, text .. "9 missing by their period, 9 of them in silences that are listed" })
   lu.assertEquals(said { record(1, 0, { seq = 1 }), record(2, 1, { seq = 2 }) }, { title }) -- Seq No would miss them
   lu.assertEquals(said { record(1, 0), bad(2, 0.1, { source = HEALTHY, payload = ("\0"):rep(8) }) }, { title })
+  local later = record(2, 0, { payload = "\10\0\3\0\87\211\71\1\0\0\0" }) -- by its clock 1 s, with the stamp of the one before
+  lu.assertEquals(said { record(1, 0), later, record(3, 0.1) }, { title, text .. "9 missing by their period" })
   -- of a message that is not known, nobody knows
   lu.assertEquals(said { record(1, 0), bad(2, 0.1, { source = ODD, fits = false }) }, { title, text .. "1 with a bad CRC" })
   local noise = record(2, 0.1, { kind = "skipped", source = { bus = "can0" }, values = { length = 7 }, fits = false })
