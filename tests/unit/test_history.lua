@@ -76,6 +76,8 @@ function T.test_a_clock_that_is_set_between_a_message_and_its_copy()
   lu.assertEquals(run(messages, "stale"), { "-", "-", "-", "-" })
   messages[4] = motor(4, 102.2, { clock = 0.1 }) -- it stands still
   lu.assertEquals(run(messages, "stale"), { "-", "-", "-", true })
+  messages = { motor(1, 5), motor(2, 3, { clock = 5 }), motor(3, 4, { clock = 5 }) }
+  lu.assertEquals(run(messages, "stale"), { "-", "-", true })
 end
 
 -- Two logs one behind the other, the later one first: the capture goes back by what the clock does.
@@ -87,9 +89,7 @@ function T.test_a_capture_out_of_order_is_no_reboot()
   end
   lu.assertEquals(reboots({ 90, 1090 }, { 90.1, 1090.1 }, { 50, 1050 }, { 50.1, 1050.1 }), { "-", "-", "-", "-" })
   lu.assertEquals(reboots({ 90, 90 }, { 89.9, 89.9 }, { 90.1, 90.1 }), { "-", "-", "-" }) -- a message came late
-  lu.assertEquals(reboots({ 90, 1090 }, { 50, 3 }), { "-", 1087 }) -- and it rebooted
-  lu.assertEquals(reboots({ 90, 0.6 }, { 89.999, 0.1 }), { "-", 0.5 })
-  lu.assertEquals(reboots({ 90, 90 }, { 90.1, 50 }), { "-", 40 })
+  lu.assertEquals(reboots({ 90, 0.6 }, { 89.999, 0.1 }), { "-", 0.5 }) -- and it rebooted
   lu.assertEquals(reboots({ 90, 90 }, { 88, 86.5 }), { "-", 3.5 })
 end
 

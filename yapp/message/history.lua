@@ -159,8 +159,9 @@ end
 local function clock_change(source, time, clock)
   local advance = (clock - source.clock) / 1e9
   local elapsed = elapsed_since(source, time, advance)
-  -- If both go back alike, the packets are not in the order of time.
-  if advance < 0 and advance >= 1.25 * elapsed then return nil end
+  -- If both go back alike, the packets are not in the order of time.  If the capture's alone does,
+  -- the message may be a copy.
+  if advance <= 0 and advance > 1.25 * elapsed then return nil end
   local may_be_shared = advance <= 0 or source.lead ~= 0
   if may_be_shared and is_shared(source, advance, math.max(elapsed, 0)) then
     return "shared", true

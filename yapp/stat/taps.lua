@@ -23,10 +23,10 @@ local HINT = "-Y does not narrow a statistic, and -R may remove parts of message
 local FAILED = "the plugin failed, so the answer is incomplete: %s, see the filter _ws.lua.error"
 local UNREAD = "only %d of %d packets were read, as the reading was stopped, or another window " ..
   "read: press Refresh"
-local GOES_ON = "only %s were read: of a live capture with -b tshark analyses the first file: " ..
+local GOES_ON = "only %s read: of a live capture with -b tshark analyses the first file: " ..
   "read each file with tshark -r"
 local RESET = "only %d of %d packets were read, as tshark -M forgets what came before: leave it out"
-local STOPPED = "only %s were read, as -c, -a or stop= ended the reading"
+local STOPPED = "only %s read, as -c, -a or stop= ended the reading"
 local CUT = "the file ends early, so what came last is missing: its recorder did not close it"
 local REFUSED = "this Wireshark does not dissect %s, as CAN FD without its flag FDF: use 4.4"
 -- COMPAT 4.6: earlier versions dissect CAN FD without its flag.
@@ -183,7 +183,7 @@ end
 local function explain_unread(self)
   local packets, unread, options = self.current.packets, self.current.unread, self.options
   if packets < self.total then return UNREAD:format(packets, self.total) end -- in Wireshark
-  local count = output.count(packets, "packet")
+  local count = output.were(packets, "packet")
   if options.b then return GOES_ON:format(count) end
   if unread > 0 then return RESET:format(packets, packets + unread) end
   if self.is_over or is_stopped(self, packets) then return STOPPED:format(count) end
