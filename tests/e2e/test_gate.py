@@ -450,12 +450,3 @@ def test_the_rules_of_the_page(folder):
     verdicts = dict(re.findall(r"^(FAILED|NOT JUDGED|ok) +(\S+)", done.stdout, re.M))
     assert len(rules) == 10 and verdicts.keys() == {"FAILED", "ok"}, done.stdout
     assert "motor.rpm_error" in done.stdout.partition("\nok")[2]
-
-
-def test_the_card_of_a_packet(folder):
-    """It is that of the fault in it, where the controller had one before."""
-    placed = flight(spoil=lambda index, sent: Sent(MOTOR, 0, 0, motor_payload(index, 0x10000 if index in (5, 6, 20) else 0)).frames())
-    (folder / "two.pcapng").write_bytes(pcapng(placed))
-    done = tshark.run("-q", "-r", folder / "two.pcapng", *(word for what in ("1", "2", "frame=30", "frame=105") for word in ("-z", f"yapp,fault,{what},json")))
-    first, second, *of_packets = map(json.loads, done.stdout.splitlines())
-    assert of_packets == [first, second] and [first["frame"], second["frame"], second["incidents"]] == [30, 105, 2]

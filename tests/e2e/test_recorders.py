@@ -75,16 +75,3 @@ def test_every_dialect_of_asc(folder, seed, passes):
             assert abs(behind - (shift or 0)) < Decimal("0.000002"), (log.head, row["time"], seconds(frame.at))
             row["time"] = f"{frame.at // flights.SECOND}.{frame.at % flights.SECOND:09d}"
             check_row(row, frame, bus, source, message)
-
-
-@pytest.mark.parametrize("zone", ["UTC", "Europe/Berlin"])
-def test_the_hour_that_summer_time_repeats(folder, zone):
-    """candump -tA prints local times: 02:59:59 is followed by 02:00:00.  An event says that the clock went back."""
-    lines = []
-    for minute in range(0, 180, 5):
-        hours, minutes = divmod(120 + minute - (60 if minute >= 60 else 0), 60)
-        lines.append(f" (2023-10-29 {hours:02d}:{minutes:02d}:00.{minute:06d})  can0  00000000   [7]  01 A5 01 FD 7F A1 80\n")
-    path = folder / "run.txt"
-    path.write_text("".join(lines))
-    done = tshark.run("-r", path, "-q", "-z", "yapp,events,json", env={"TZ": zone})
-    assert [json.loads(line)["kind"] for line in done.stdout.splitlines()].count("clock") == 1

@@ -94,7 +94,7 @@ function M.run(arguments, records, with)
     if not argument:find("^check") then lu.assertEquals(options.problems, {}) end
     local context = { out = function(text) printed[#printed + 1] = text end, settings = settings,
       dates = queue.dates, frames = with.frames, make_folder = with.make_folder,
-      json = options.json }
+      json = options.json, terminal = with.terminal, flush = with.flush, stop = with.stop }
     local ok, statistic = pcall(options.row.new, options, context)
     if not ok then return nil, nil, { statistic } end
     options.matched = with.matches

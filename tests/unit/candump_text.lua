@@ -1,6 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- candump text in memory, and the frames in it.
 if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
 local candump = require("yapp.file.candump")
 
 local M = {}
@@ -22,7 +23,7 @@ function M.frame(offset, bytes, seconds, nanoseconds, bus)
     nanoseconds = nanoseconds }
 end
 
--- All frames of a text; nil where it is not taken.
+-- All frames of a text, which read again in another order are the same; nil where it is not taken.
 function M.frames_of(text)
   local log, file, told = M.opened(text)
   local frames = {}
@@ -31,6 +32,10 @@ function M.frames_of(text)
   while frame do
     frames[#frames + 1] = frame
     frame = M.frame(log:read(file))
+  end
+  for i = #frames, 1, -1 do
+    local one = frames[i * 7919 % #frames + 1]
+    lu.assertEquals(M.frame(log:seek_read(file, one.offset)), one)
   end
   return frames, told, log
 end

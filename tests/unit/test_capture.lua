@@ -178,8 +178,10 @@ function T.test_options_of_serial_lines()
     ["-d rtacser.data,yapp_serial"] = { RTAC },
     ["-o yapp.user_dlt:162"] = { ETHERNET, 162, RTAC },
   } do
-    local found = read(pcapng(linktypes, { { 0, "x" } }, le))
-    lu.assertEquals(found:serial_option() or "", wanted)
+    for bytes, has_frame in pairs { x = false, [FRAME] = linktypes[1] == 147 } do
+      local found = read(pcapng(linktypes, { { 0, bytes } }, le))
+      lu.assertEquals({ found:serial_option() or "", found.has_serial_frames }, { wanted, has_frame })
+    end
   end
 end
 
@@ -469,7 +471,9 @@ function T.test_the_first_time()
         packet(0, "x", number, 1)).first
     end
     lu.assertEquals(first(9, 395812094, 1032178965), { 1700000000, 123456789 })
-    lu.assertEquals(first(6, 395812, 404759104, 3600), { 1700003600, 123456000 })
+    for _, shift in ipairs { 3600, -3600 } do
+      lu.assertEquals(first(6, 395812, 404759104, shift), { 1700000000 + shift, 123456000 })
+    end
     lu.assertEquals(first(0, 0, 1700000000), { 1700000000, 0 })
     lu.assertEquals(first(12, 0, 1500), { 0, 1 })
   end

@@ -84,29 +84,6 @@ function T.test_deltas_are_added_up()
   lu.assertEquals(times(frames_of(screen(stamps)))[9], "3.700000000")
 end
 
--- Reading again at any offset gives the same record, in any order of reading.
-local function assert_same_again(text)
-  local frames, _, log = frames_of(text)
-  local file = text_file(text)
-  local order = {}
-  for i = 1, #frames do order[i] = i end
-  for i = #frames, 1, -1 do order[#order + 1] = i end
-  for i = 1, #frames do order[#order + 1] = i * 7919 % #frames + 1 end
-  for _, i in ipairs(order) do
-    lu.assertEquals(text_of.frame(log:seek_read(file, frames[i].offset)), frames[i])
-  end
-end
-
-function T.test_reading_again()
-  local stamps, buses = {}, {}
-  for i = 1, levels.size(200, 500) do
-    stamps[i], buses[i] = string.format("000.%06d", i * 7919 % 1000), "can" .. i % 3
-  end
-  assert_same_again(screen(stamps, buses))
-  assert_same_again((screen(stamps, buses):gsub("can1[^\n]*\n", "%0\nbroken\n", 100)))
-  assert_same_again((screen(stamps):gsub("000%.", "1700000000.")))
-end
-
 -- candump -d says in its output, and in a log, how many frames the kernel dropped.
 function T.test_drops()
   local drop = "DROPCOUNT: dropped %s on '%s' socket (total drops 12)\n"

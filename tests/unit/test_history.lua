@@ -155,8 +155,14 @@ function T.test_links_to_the_changes_before_and_after()
   lu.assertEquals(following, { "-", 40, 40, 50, 70, "-", "-" })
 end
 
+-- What a revisit of a message gets, with its delta.
+local function looked_up(h, m)
+  local old_change, delta = h:change(m)
+  return { old_change or false, delta }
+end
+
 -- Random messages of motors and Commands against the definitions, on buses of which one has no name.
--- All times are whole milliseconds.
+-- All times are whole milliseconds.  Revisits, in any order, get the same.
 function T.test_random_messages()
   local buses = { 1, 2 }
   local seen = { late = 0, missing = 0, reboot = 0, jump = 0, stale = 0, drift = 0, raised = 0, cleared = 0 }
@@ -166,7 +172,7 @@ function T.test_random_messages()
     if seen[name] and expected then seen[name] = seen[name] + 1 end
   end
   for seed = 1, levels.size(30, 300) do
-    local random, h, states, latest, time = generator.random(seed), new(), {}, {}, 0
+    local random, h, states, latest, time, noted = generator.random(seed), new(), {}, {}, 0, {}
     for number = 1, 200 do
       local who, expected = random(6), {}
       local bus, is_motor, is_good = buses[who % 3], who > 3, random(8) > 1
@@ -227,57 +233,13 @@ function T.test_random_messages()
       for _, name in ipairs { "raised", "cleared" } do
         compare(name, flags[name] or 0, expected[name] or 0, where)
       end
+      noted[number] = { m, { change or false, delta } }
+      local before = noted[random(number)] -- some are asked for while the first pass goes on
+      lu.assertEquals(looked_up(h, before[1]), before[2], where)
     end
+    for number = #noted, 1, -1 do lu.assertEquals(looked_up(h, noted[number][1]), noted[number][2], number) end
   end
   for name, count in pairs(seen) do lu.assertTrue(count > 50, name) end
-end
-
--- A random capture: the same seed gives the same messages.
-local function random_messages(seed, count)
-  local state = seed
-  local function random(n) -- 0 .. n - 1, the same in every Lua
-    state = (state * 16807) % 2147483647
-    return state % n
-  end
-  local messages, now, faults, time = {}, { 0, 0, 0 }, { 0, 0, 0 }, 0
-  for i = 1, count do
-    time = time + (random(20) == 0 and 20 or random(100) / 100) -- 20 s: was the clock set?  A Command does not tell
-    local who = 1 + random(4)
-    if who == 4 then
-      messages[i] = command(i * 3, time, random(3), random(3))
-    else
-      local step = random(20)
-      now[who] = step == 0 and 0 or step == 1 and now[who] or now[who] + step
-      if random(4) == 0 then faults[who] = random(8) end
-      messages[i] = motor(i * 3, time, { source = who, bus = who % 2, clock = now[who], fault = faults[who],
-        status = random(10) == 0 and 1 or 0, seq = random(3), ends = random(8) > 0 and "good" or "bad" })
-      if random(30) == 0 then messages[i].raws = nil end
-    end
-  end
-  return messages, random
-end
-
--- What a revisit of a message gets, with its delta.
-local function looked_up(h, m)
-  local old_change, delta = h:change(m)
-  return { old_change or false, delta }
-end
-
-function T.test_a_revisit_gets_the_same_in_any_order()
-  for seed = 1, levels.size(6, 30) do
-    local messages, random = random_messages(seed * 7919, 300)
-    local h, noted = new(), {}
-    for i, m in ipairs(messages) do
-      local new_change, delta = h:add(m)
-      noted[i] = { new_change or false, delta }
-      local before = 1 + random(i) -- some are asked for while the first pass goes on
-      lu.assertEquals(looked_up(h, messages[before]), noted[before])
-    end
-    for _ = 1, 600 do
-      local i = 1 + random(#messages)
-      lu.assertEquals(looked_up(h, messages[i]), noted[i], ("seed %d, m %d"):format(seed, i))
-    end
-  end
 end
 
 return T

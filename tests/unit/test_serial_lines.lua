@@ -31,7 +31,7 @@ function T.test_sources_in_udp_and_tcp()
     lu.assertEquals({ motor.bus, command.bus, command.bus_key }, { "10.0.0.1", there.label, motor.bus_key })
     lu.assertIs(self:source(again, 0x210), motor)
     lu.assertEquals(self:source(back, 0x123).bus, "10.0.0.9")
-    lu.assertEquals({ there.is_tcp, there.is_datagram }, { kind == TCP, kind == UDP })
+    lu.assertEquals({ there.is_tcp, there.is_datagram, there.has_address }, { kind == TCP, kind == UDP, true })
   end
 end
 

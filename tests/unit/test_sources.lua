@@ -26,15 +26,6 @@ local function parse(text)
   return sources.parse(text, CATALOGUE)
 end
 
-function T.test_nothing()
-  for _, text in ipairs { "", "  ", ",", " , ," } do
-    local s, problems = parse(text)
-    lu.assertEquals({ problems, s.rows }, { {}, {} })
-    lu.assertNil(name_of(s, "can0", 0x210))
-    lu.assertNil(message_name(s, nil, 0x210))
-  end
-end
-
 function T.test_the_example()
   local s, problems = parse("0x210=motor:left_fore, 0x211=motor:left_aft, can1/0x210=motor:right_fore,528 = x ," ..
     "0x212=left_tail")
@@ -74,19 +65,6 @@ function T.test_what_is_wrong_is_said_part_by_part_and_the_rest_holds()
     'yapp.sources: no ID "1.5" in "1.5=r"; IDs are 0 to 0x7FF',
     shape:format("=left"), shape:format("1=d;2=e"), shape:format("3=f 4=g"),
   })
-end
-
-function T.test_several_ids_have_one_name()
-  local s, problems = parse("can0/0x210+0x200 + 0=left, 0x210+0x211=motor:right")
-  lu.assertEquals(problems, {})
-  lu.assertEquals({ name_of(s, "can0", 0x210), name_of(s, "can0", 0x200), name_of(s, "can0", 0),
-    name_of(s, "can1", 0x211) },
-    { "left", "left", "left", "right" })
-  lu.assertEquals({ message_name(s, "can1", 0x210), message_name(s, nil, 0x211) }, { "motor", "motor" })
-  lu.assertNil(name_of(s, "can1", 0x200))
-  local rows = {}
-  for i, row in ipairs(s.rows) do rows[i] = ("%s %X %s"):format(row.bus or "-", row.id, row.name) end
-  lu.assertEquals(rows, { "can0 210 left", "can0 200 left", "can0 0 left", "- 210 right", "- 211 right" })
 end
 
 function T.test_ranges_have_a_name_for_each_id()

@@ -757,15 +757,6 @@ function T.test_what_an_answer_leaves_out()
     step:format("2 times") .. ", and who is silent at the end is not known")
 end
 
--- In the order of their sources' latest messages.
-function T.test_faults_that_are_active()
-  local records = { record(1, 1, { change = raised(1, 1) }), record(2, 2, { change = raised(1, 1), source = RIGHT }),
-    record(3, 3, { source = RIGHT }), record(4, 4) }
-  local active = found("faults,json", '"active","active"', records)
-  lu.assertEquals(active, { '{,"field":"fault_flags","flag":"hot","event":"active","active":1.000000000,"help":null}',
-    '{,"field":"fault_flags","flag":"hot","event":"active","active":3.000000000,"help":null}' })
-end
-
 function T.test_messages_that_are_not_dissected()
   local function odd(frame) return record(frame, 1, { kind = "undissected", source = ODD, values = { size = 11 }, fits = false }) end
   lu.assertEquals(verdicts("unknown=0", { record(1, 0), odd(2) })[1], "unknown=0 null false 1 2")
