@@ -19,11 +19,12 @@ import struct
 import subprocess
 
 import capture_file
+import model
 from crc32k import crc32k
 
 FD_LENGTHS = [*range(9), 12, 16, 20, 24, 32, 48, 64]
 SINGLE, START, MIDDLE, END = range(4)
-SIZES = {"command": 7, "motor": 32, "health": 17}
+SIZES = {message.name: message.size for message in model.MESSAGES.values()}
 
 SLOTS = 64  # situations in one capture at most: each has one ID of each kind, and three unknown ones
 FIRST_ID = {"command": 0x380, "motor": 0x300, "health": 0x340, "unknown": 0x400, "unknown 2": 0x500, "unknown 3": 0x600}
@@ -196,7 +197,7 @@ def motor_payload(rng, count):
 
 
 def health_payload(rng, count):
-    return struct.pack("<q", count * 500_000_003 - 5) + rng.randbytes(9)
+    return struct.pack("<q", count * 500_000_003 - 5) + rng.randbytes(SIZES["health"] - 8)
 
 
 def command_payload(rng, _):

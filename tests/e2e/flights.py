@@ -80,13 +80,17 @@ class Sender:
             counts = [rng.choice([65535, 65534, 65533, 65532, 65531]) if rng.random() < 0.01 else rng.randrange(30000, 36000)
                       for _ in range(6)]
             return struct.pack("<6HBBIIqBB", *counts, rng.randrange(60, 100), 2 if self.chance(0.01) else 1, self.status, self.faults, self.clock,
-                               self.state, 255 if rng.random() < 0.02 else rng.randrange(60, 110))
+                               self.state, 255 if rng.random() < 0.02 else rng.randrange(60, 110)) + self.fields(13)
         if self.kind == "health":
-            return struct.pack("<q", self.clock) + bytes(rng.randrange(20, 120) for _ in range(7)) + bytes([1, 4])
+            return struct.pack("<q", self.clock) + bytes(rng.randrange(20, 120) for _ in range(7)) + bytes([1, 4]) + self.fields(10)
         if self.kind == "command":
             key = rng.choice([0, 0x55, 0xFF]) if self.chance(0.04) else rng.choice([0xA5, 0x5A])
-            return struct.pack("<BBBHH", 1, key, 1, rng.randrange(65000), rng.randrange(65000))
-        return b"".join(self.count(*row).to_bytes(row[1], "little") for row in self.message[2]) if self.message else rng.randbytes(20)
+            return struct.pack("<BBBHH", 1, key, 1, rng.randrange(65000), rng.randrange(65000)) + self.fields(5)
+        return self.fields(0) if self.message else rng.randbytes(20)
+
+    def fields(self, first):
+        """All from this one on: the table got them later."""
+        return b"".join(self.count(*row).to_bytes(row[1], "little") for row in self.message[2][first:])
 
     def count(self, field, size, kind):
         """A field of any message."""

@@ -235,18 +235,15 @@ def test_bytes_of_a_message_in_filters():
 
 def test_what_an_unknown_id_is_like(folder):
     """By its size; a display filter finds the ID."""
-    path, sizes = folder / "like.pcap", {"command": 7, "health": 17, "motor": 32}
-    path.write_bytes(make.pcap(make.Source("".join(f"can0 [{0x123 + index:x} {bytes(size).hex()}]\n"
-                                                   for index, size in enumerate(sizes.values())) * 2)))
-    rows = tshark.fields(path, [f"yapp.like.{name}" for name in sizes], "-o", "yapp.all_extended:TRUE")
-    assert [row for row in rows if any(row)] == [["0x00000123", "", ""], ["", "0x00000124", ""], ["", "", "0x00000125"]] * 2
+    path, messages = folder / "like.pcap", list(enumerate(model.MESSAGES.items(), 0x123))
+    path.write_bytes(make.pcap(make.Source("".join(f"can0 [{like:x} {bytes(one.size).hex()}]\n" for like, (_, one) in messages) * 2)))
+    rows = tshark.fields(path, [f"yapp.like.{one.name}" for _, (_, one) in messages], "-o", "yapp.all_extended:TRUE")
+    assert [row for row in rows if any(row)] == [[f"{like:#010x}" * (like == own) for own, _ in messages] for like, _ in messages] * 2
     shown = tshark.run("-r", path, "-o", "yapp.all_extended:TRUE", "-o", 'gui.column.format:"Info","%i"', "-Y", "yapp.id.unknown").stdout
-    texts = [f"ID {0x123 + index:#x}  {size} bytes, the size of {model.MESSAGES[ident][1]}"
-             for index, (ident, size) in enumerate(((model.COMMAND, 7), (model.HEALTH, 17), (model.MOTOR, 32)))]
+    texts = [f"ID {like:#x}  {one.size} bytes, the size of {one[1]}" for like, (_, one) in messages]
     assert [line.strip().split("  [copy of")[0] for line in shown.splitlines()] == texts * 2
-    ids = [word for name, ident, index in (("command", "0", 0), ("health", "512", 1), ("motor", "528", 2))
-           for word in ("-o", f"yapp.{name}_ids:{ident},{0x123 + index:#x}")]
-    assert all(map(any, zip(*tshark.fields(path, [f"taurus.{name}" for name in sizes], *ids))))
+    ids = [word for like, (ident, one) in messages for word in ("-o", f"yapp.{one.name}_ids:{ident},{like:#x}")]
+    assert all(map(any, zip(*tshark.fields(path, [f"taurus.{one.name}" for _, (_, one) in messages], *ids))))
 
 
 def test_rounded_values(folder):

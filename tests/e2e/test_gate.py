@@ -100,8 +100,7 @@ def break_catalogue(plugin):
 
 def break_one_message(plugin):
     path = plugin / "taurus_fields.lua"
-    path.write_text(path.read_text().replace('size = 17,',
-                                             'size = 18,'))
+    path.write_text(path.read_text().replace('"Board Revision"', '"Board Revision", length = "x"'))
 
 
 def lose_module(plugin):

@@ -159,7 +159,10 @@ def test_the_filters_of_the_help():
 
 @levels.without_tshark("of the page alone")
 def test_the_map_names_what_there_is():
-    """Files and targets that CONTRIBUTING.md names are there."""
+    """Files, their names and targets that CONTRIBUTING.md names are there."""
+    for name, path in re.findall(r"`(\w+)` in `([\w/]+(?:\.\w+)?)`", MAP):
+        files = [tshark.ROOT / f"yapp/{path}.lua", tshark.ROOT / path, *tshark.ROOT.glob(f"tests/*/{path}")]
+        assert any(re.search(rf"\b{name}\b", one.read_text()) for one in files if one.is_file()), f"{path}: {name}"
     paths, targets = re.findall(r"`((?:tests|tools|docs|test_captures)/[\w./]+)`", MAP), re.findall(r"\bmake ([a-z-]+)\b", MAP)
     assert len(paths) > 5 and len(targets) > 5
     for path in paths:

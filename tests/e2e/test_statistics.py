@@ -343,9 +343,10 @@ def test_the_kinds_of_event_in_the_document():
 
 
 def test_the_keys_of_the_document(folder):
-    """In docs/statistics.md, in the row of the statistic and in no other order.  docs/columns.md has all."""
+    """In docs/statistics.md, in the row of the statistic and in no other order."""
     names = [name for name in model.STATISTICS if name != "watch"]  # it has lines of two kinds
-    rows = {name: re.search(rf"^\| `{name}` \| .*?`(.*?)`", PAGE.partition("## Keys of JSON")[2], re.M)[1].split() for name in names}
+    table = re.findall(rf"(?m)^\| `({'|'.join(names)})` \| `(.*?)`", PAGE.partition("## Keys of JSON")[2])
+    rows = {name: keys.split() for name, keys in table}
     taps = [word for name in names for word in ("-z", f"yapp,{name}{f',{folder}/tables' * (name == 'csv')},json")]
     done = tshark.run("-q", "-r", tshark.ROOT / "docs/flight.pcapng", *taps, check=False)
     keys = {tuple(json.loads(line)) for line in done.stdout.splitlines()}

@@ -75,4 +75,4 @@ def test_the_page_of_the_captures_names_each():
     folders = {f"{path.name}/" for path in top.iterdir() if path.is_dir() and path.name != "__pycache__"}
     captures = {path.stem for name in ("can", "serial", "candump", "own_messages", "fuzz") for path in (top / name).iterdir()}
     assert len(captures) > 60 and len(named) == len(set(named))
-    assert set(named) == captures | folders
+    assert set(named) == captures | folders, f"rows of test_captures/README.md: {set(named) ^ (captures | folders)}"

@@ -145,16 +145,6 @@ function T.test_a_fault_across_a_step_back()
     motor(4, 10, { fault = 1 }) }, "active_time")[3], "-")
 end
 
-function T.test_links_to_the_changes_before_and_after()
-  local messages = { motor(10, 1), motor(20, 2, { fault = 1 }), motor(30, 3, { fault = 1, status = 1 }),
-    motor(40, 4, { fault = 3 }), motor(50, 5), motor(60, 6), motor(70, 7, { fault = 1 }) }
-  local previous, h = run(messages, "previous_change")
-  lu.assertEquals(previous, { "-", "-", 20, 20, 40, "-", 50 })
-  local following = {}
-  for i, m in ipairs(messages) do following[i] = h:state(m).next_change or "-" end
-  lu.assertEquals(following, { "-", 40, 40, 50, 70, "-", "-" })
-end
-
 -- What a revisit of a message gets, with its delta.
 local function looked_up(h, m)
   local old_change, delta = h:change(m)

@@ -50,9 +50,9 @@ function T.test_every_id_that_carries_a_message_is_visited()
 end
 
 function T.test_which_sizes_fit()
-  local r = new("can1/0x210=health:")
-  lu.assertEquals({ r:size_of(0x210) }, { 32, 32 })
-  lu.assertEquals(r:new_source(0x210, 1, "can1").size, 17)
+  local r, motor, health = new("can1/0x210=health:"), TAURUS.by_id[0x210], TAURUS.by_id[0x200]
+  lu.assertEquals({ r:size_of(0x210) }, { motor.size, motor.min_size })
+  lu.assertEquals(r:new_source(0x210, 1, "can1").size, health.size)
   lu.assertEquals(r:new_source(0x211, 2, "can1").text, "can1 0x211") -- of a bus that shows later
   lu.assertNil(r:size_of(0x123))
 end

@@ -65,8 +65,8 @@ function T.test_what_a_message_gets()
   local revision = m.raws[HEALTH.by_name.board_revision.index]
   lu.assertEquals({ m.source.type, revision, m.remarks[1] or false, m.change, m.delta },
     { HEALTH, 9, false, { missing = 1 }, 1 })
-  for _, with in ipairs { { id = 0x123 }, { size = 16 }, { status = "incomplete" }, { status = "overrun" },
-    { size = 18, status = "bad" } } do
+  for _, with in ipairs { { id = 0x123 }, { size = HEALTH.min_size - 1 }, { size = HEALTH.size + 1, status = "bad" },
+    { status = "incomplete" }, { status = "overrun" } } do
     m = read(HEALTH, {}, with)
     lu.assertEquals({ m.raws, m.remarks[1] or false, m.undecoded }, { false, false, false })
   end

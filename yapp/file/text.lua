@@ -7,7 +7,8 @@
 --             behind it
 --   set_time  function(record, stamp), which sets the record's stamp, seconds and nanoseconds;
 --             returns whether there is such a time, or may be none
---   forms     list of the forms of a line with a frame, behind the time: {
+--   forms     list of the forms of a line with a frame, behind the time, of which the first that
+--             matches reads the line: {
 --               pattern     its captures are the arguments of read
 --               read        function(log, captures), which returns a record, with its time if that
 --                           is among them; nil if it is damaged
