@@ -46,7 +46,7 @@ SUITES = {
                ["tests/e2e/test_streams.py"]],
     "statistic": [["tests/e2e/test_statistics.py", "tests/e2e/test_gate.py"]],
     "key": [["tests/e2e/test_statistics.py"], ["tests/e2e/test_gate.py", "tests/e2e/test_buses.py"]],
-    "event": [["tests/e2e/test_statistics.py"], ["tests/e2e/test_gate.py"]],
+    "event": [["tests/e2e/test_statistics.py"], ["tests/e2e/test_gate.py", "tests/e2e/test_stream_cases.py"]],
     "column": [["tests/e2e/test_statistics.py"], ["tests/e2e/test_gate.py", "tests/e2e/test_readme.py"]],
     "csv": [["tests/e2e/test_statistics.py", "-k", "csv"]],
 }

@@ -107,6 +107,14 @@ def test_a_command_turns_motors_off(folder):
         assert "A Command turned off motors that were turning" in shown
 
 
+@levels.by_version
+def test_the_first_frame_of_decode_as():
+    """Without a tree nothing tells its CAN id; the headers of those behind it are read."""
+    path = tshark.CAPTURES / "can/unknown_id.pcap"
+    shown = tshark.run("-q", "-r", path, "-d", "can.subdissector,yapp_all", "-z", "expert").stdout
+    assert re.findall(r"(\d+) +Undecoded +YAPP\w* +(.*)", shown)[0] == ("1", "The CAN id of this frame is not known")
+
+
 @levels.without_tshark("of the tables of the tests alone")
 def test_every_expert_item_has_a_capture():
     """That of yapp.copy: test_copies.py."""

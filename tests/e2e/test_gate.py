@@ -227,6 +227,9 @@ def test_what_the_gate_let_through(row, passes):
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     found = {line["rule"].split("=")[0] for line in lines if line.get("ok") is False}
     assert (done.returncode, found) == (code, failed), done.stdout
+    for line in lines:
+        if line.get("rule") == "motor.rate=9..11":
+            assert line["margin"] == pytest.approx(min(line["seen"] - 9, 11 - line["seen"]))
     assert [line["rule"] for line in lines if "rule" in line]
     kinds = {line["kind"] for line in lines if "kind" in line}
     assert failed - {"motor.rate"} <= kinds
@@ -276,6 +279,8 @@ def test_eight_controllers_without_a_preference(folder, seq):
     options = shlex.split(text.partition(". Try ")[2])
     done = tshark.run(*options, "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults", "-z", "yapp,check,unknown=0")
     assert "motor_overcurrent" in done.stdout and "not decoded" not in done.stdout
+    done = tshark.run(*options, "-q", "-r", folder / "run.pcapng", "-z", "yapp,compare,json")
+    assert {json.loads(line)["spread"] for line in done.stdout.splitlines()} == {0}
 
 
 def command_payload(index):

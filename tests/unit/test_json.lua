@@ -41,9 +41,4 @@ function T.test_a_file_that_could_not_be_written_for_a_moment()
   os.remove(path)
 end
 
-function T.test_objects_keep_the_order_of_their_keys()
-  lu.assertEquals(json.object({ "z", "a", "none" }, { a = 1, z = "x", other = 5 }).json, '{"z":"x","a":1,"none":null}')
-  lu.assertEquals(json.object({}, {}).json, "{}")
-end
-
 return T

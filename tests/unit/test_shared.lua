@@ -69,7 +69,7 @@ end
 
 function T.test_when_it_shows()
   local equal = {} -- two clocks that were set alike
-  for i, time in ipairs { 0, 0.02, 0.1, 0.12 } do equal[i] = message(i, time, 100 + math.floor(time * 10) / 10) end
+  for i, time in ipairs { 0, 0.03, 0.1, 0.13 } do equal[i] = message(i, time, 100 + math.floor(time * 10) / 10) end
   local late = { 0.1, 0.3, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.3, 1.2, 1.4, 1.5 }
   for _, row in ipairs {
     { 4, clocks(0.05, { 100.0, 7.2, 100.1, 7.3, 100.2 }) }, { 4, equal },

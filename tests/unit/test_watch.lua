@@ -93,7 +93,7 @@ function T.test_random_flights()
     for i = 0, #records do
       local one, now, expected, found = records[i], records[math.min(i + 1, #records)].time, {}, {}
       if one then
-        local state = states[one.source] or { count = 0, before = { 1, one.time }, hz = 0 }
+        local state = states[one.source] or { count = 0, before = { 1, one.time }, hz = 0, first = one.time }
         states[one.source], state.count, state.last = state, state.count + 1, one
         if one.rises then state.raised, state.rest = math.floor(one.time), one.time % 1 end
       end
@@ -110,6 +110,12 @@ function T.test_random_flights()
         if line:find(" Motor Data ") and not line:find("FAILED") then found[#found + 1] = line:gsub(" +", " ") end
       end
       lu.assertEquals(found, expected, seed)
+    end
+    -- Read within a second: as all of it was.
+    local at_once = table.concat(screens(records, "", { pause = 0 })[1], "\n"):gsub(" +", " ")
+    for _, state in pairs(states) do
+      state.before, state.hz = { 1, state.first }, 0
+      lu.assertStrContains(at_once, (line_of(state, records[#records].time)))
     end
   end
 end
