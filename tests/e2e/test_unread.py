@@ -202,5 +202,5 @@ def test_can_fd_without_its_flag():
     path = tshark.CAPTURES / "cases/canfd_without_fdf.pcapng"
     done = tshark.run("-r", path, "-q", "-z", "yapp,check,crc=0,dropped=71", "-z", "yapp,faults", check=False)
     is_refused = tshark.version() >= (4, 6)
-    assert ("YAPP faults: UNKNOWN, not all packets were decoded, 0 in" in done.stdout) == is_refused
+    assert f"YAPP faults: {'UNKNOWN, not all packets were decoded, 0 in' if is_refused else 1}" in done.stdout
     assert done.returncode == (20 if is_refused else 0) and ("this Wireshark does not dissect 72 packets" in done.stdout) == is_refused
