@@ -41,7 +41,7 @@ function T.test_what_is_wrong_with_a_message_is_said()
     { { [1] = { "f", "float8", "F", max = 1 } }, "message m, field f: min and max are missing, or no range" },
     { { size = 2 }, "message m: size is 2, but the fields add up to 1" }, { { title = "\255" }, "title has a sign that" },
     { { info = "{g}" }, 'message m: info names a field "g"' }, { { [1] = 5 }, "message m, field 1: " },
-    { { rate = 5 }, 'message m: unknown option "rate"; a message has answers, derived, ' },
+    { { rate = 5 }, 'message m: unknown option "rate"; a message has ' }, { { rate = 5 }, ", every, " },
     { { derived = { { "d", "f * g", "D" } } }, 'message m: d: "f * g" is not two fields of numbers' },
     { { derived = { { "d", "f / f", "D" } } }, 'message m: d: "f / f" is not two fields of numbers with *, + or -' },
     { { derived = { { "d", "f*f", "D" } }, [1] = { "f", "uint8", "F", values = {} } }, '"f*f" is not two fields of' },
@@ -59,13 +59,13 @@ function T.test_what_is_wrong_with_a_field_is_said()
   for _, row in ipairs {
     { { [1] = "F x" }, 'field F x: "taurus.m.F x" is no filter name' }, { { unit = "\176C" }, "unit has a sign that" },
     { { [2] = "int7" }, 'field f: unknown type "int7"; the types are ' }, { { [2] = "int7" }, ", int64_ns, " },
-    { { units = "V" }, 'field f: unknown option "units"; a row has alarm,' },
+    { { units = "V" }, 'field f: unknown option "units"; a row has ' }, { { units = "V" }, ", group, " },
     { { [4] = "V" }, "field f: unknown option 4" },
     { { [2] = "float8" }, "field f: " }, { { [2] = "string" }, "field f: " }, { { flags = {} }, "field f: " },
     { { flags = { { "a", 256, "A" } }, group = "g" }, "field f: a: bit 0x100 is another's, or not in the field" },
     { { flags = { { "a", 3, "A" }, { "b", 2, "B" } }, group = "g" }, "field f: b: bit 0x2 is another's" },
     { { flags = { { "a", 1, "A" }, { "a", 2, "A" } }, group = "g" }, "field f: the filter name taurus.m.g.a is taken" },
-    { { flags = { { "a", 1, "A", unit = "V" } }, group = "g" }, 'unknown option "unit"; a flag has alarm, ' },
+    { { flags = { { "a", 1, "A", unit = "V" } }, group = "g" }, 'unknown option "unit"; a flag has ' },
   } do
     local problem = problem_of(message(nil, row[1]))
     lu.assertStrContains(problem, "message m, field ")

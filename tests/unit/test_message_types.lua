@@ -24,8 +24,8 @@ end
 local function name(message) return message and message.name or "none" end
 
 function T.test_before_the_preferences_are_known()
-  local r = types_of.new(TAURUS)
-  lu.assertEquals({ name(r:type_of(0x210)), r:size_of(0x210), name(r:type_of(0x211)) }, { "motor", 32, "none" })
+  local r, size = types_of.new(TAURUS), TAURUS.by_id[0x210].size
+  lu.assertEquals({ name(r:type_of(0x210)), r:size_of(0x210), name(r:type_of(0x211)) }, { "motor", size, "none" })
   r:use(catalogue.assign(TAURUS, {}), (sources.parse("", TAURUS)), {}, ignore)
   local source = r:new_source(0x123, false, "can0") -- before a capture file is known
   lu.assertEquals(source.text, "0x123")
