@@ -197,7 +197,7 @@ def motor_payload(rng, count):
 
 
 def health_payload(rng, count):
-    return struct.pack("<q", count * 500_000_003 - 5) + rng.randbytes(SIZES["health"] - 8)
+    return struct.pack("<q", count * 500_000_003 - 5) + rng.randbytes(9)
 
 
 def command_payload(rng, _):
@@ -219,8 +219,8 @@ class Sender:
         rng = self.rng
         serial = next(self.style.serial)
         if self.kind:
-            payload = {"command": command_payload, "motor": motor_payload, "health": health_payload}[self.kind](
-                rng, serial)
+            payload = {"command": command_payload, "motor": motor_payload, "health": health_payload}[self.kind](rng, serial)
+            payload += rng.randbytes(SIZES[self.kind] - len(payload))  # fields that the table got later
         else:
             length = rng.choice([9, 12, 15, 16, 17, 32, 40] if self.style.short else
                                 [9, 12, 16, 17, 32, 40, 64, 65, 100, rng.randrange(9, 400)])

@@ -94,13 +94,14 @@ class Message(tuple):
     """A message: (name, title, fields), the fields in the document's order: name, size in bytes, and what it is: (min, max,
     unit) for a compressed float, Flags, a set of the values that the document defines, None for a time; Number(), REAL (IEEE 754) or TEXT.
 
-    every: its period in seconds, None for no period; answers: the message that commands it.  generated: { name: (field, operator,
-    field) }, of which derived are in tables, too: as published.  alarms: { field: the bits that are faults }."""
+    every: its period in seconds, or None; answers: the message that commands it; least: its size in an earlier table.  generated:
+    { name: (field, operator, field) }, of which derived are in tables, too: as published.  alarms: { field: its bits that are faults }."""
 
-    def __new__(cls, name, title, fields, every=None, answers=None):
+    def __new__(cls, name, title, fields, every=None, answers=None, least=None):
         self = super().__new__(cls, (name, title, fields))
         self.name, self.every, self.answers = name, every, answers
         self.size = sum(size for _, size, _ in fields)
+        self.least = least or self.size
         formulas = {path.removeprefix(f"{name}."): text for path, text in published.of("formula").items() if path.startswith(f"{name}.")}
         self.generated = {value: tuple(text.split()) for value, text in formulas.items()}
         self.derived = [value for value in self.generated if f"{name}.{value}" in published.of("column")]
@@ -112,10 +113,11 @@ class Message(tuple):
         return self
 
     def counts(self, payload):
-        """The fields of a payload: (name, size, kind, count)."""
+        """The fields that a payload has: (name, size, kind, count)."""
         at = 0
         for field, size, kind in self[2]:
-            yield field, size, kind, int.from_bytes(payload[at:at + size], "little")
+            if at + size <= len(payload):
+                yield field, size, kind, int.from_bytes(payload[at:at + size], "little")
             at += size
 
 
@@ -223,7 +225,7 @@ def numbers(ident, payload):
         elif isinstance(kind, Number) and kind.column != "string":
             found[field] = kind.value(count, size) if math.isfinite(kind.value(count, size)) else None
     for name, (a, operator, b) in MESSAGES[ident].generated.items():
-        values = found[a], found[b]
+        values = found.get(a), found.get(b)
         found[name] = None if None in values else OPERATORS[operator](*values)
     return found
 

@@ -81,7 +81,7 @@ def wanted_of_messages(name):
     for message in make.read(name).messages:
         fields, experts = {}, []
         known = model.MESSAGES.get(message["id"])
-        if known and sum(size for _, size, _ in known[2]) <= len(message["payload"]):
+        if known and known.least <= len(message["payload"]):
             fields, experts = model.decode(message["id"], message["payload"])
         if message["wrong_crc"]:  # a damaged message has no fault
             experts = [expert for expert in experts if expert != "taurus.fault.active"]
