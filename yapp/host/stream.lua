@@ -23,6 +23,7 @@ Dissector.__index = Dissector
 
 local PACKET = frame_key.PACKET
 local TCP_HEADER = 20
+local CUT_HEADER = 8 -- bytes that Dissector:count_headers takes for a header that was cut
 local FIN, SYN, RST = 1, 2, 4 -- flags of TCP
 -- The packets of USB: encapsulation of Wireshark, name of serial.usb.
 local USB_KINDS = {
@@ -66,7 +67,7 @@ end
 function Dissector:reset()
   self.usb = usb.new()
   self.addresses = addresses.new()
-  self.number = 0 -- of the latest packet that was searched, or is an error that quotes one
+  self.number = 0 -- of the latest packet that is YAPP's, or an error that quotes one
   self.undecoded = {} -- { [option that decodes them] = number of headers }
   self.found = {} -- [conversation] = true if it was found by content
   self.latest = {} -- [line] = its latest bytes, if they may begin a header
@@ -92,12 +93,15 @@ local function line_of(self, pinfo, kind)
   return line, is_bus_known
 end
 
--- Return whether a packet has the end of a header, which others of its line may have begun: a "Y"
+-- Return whether a packet has the end of a header, and whether others of its line began it.  A "Y"
 -- at their end is not kept, as many packets of others have it.
 local function ends_header(self, line, bytes)
-  local text = (self.latest[line] or "Y") .. bytes
-  self.latest[line] = text:match("YP.*", 1 - frame.HEADER)
-  return frame.find_header(text, 1) ~= nil
+  local kept = self.latest[line] or "Y"
+  local text = kept .. bytes
+  local index = frame.find_header(text, 1)
+  local is_short = #bytes < CUT_HEADER or #text < frame.HEADER
+  self.latest[line] = text:match("YP.*", 1 - (is_short and frame.HEADER or CUT_HEADER))
+  return index ~= nil, index and index <= #kept
 end
 
 -- Packets -----------------------------------------------------------------------------------------
@@ -205,21 +209,22 @@ local function count_undecoded(self, pinfo, count)
 end
 
 --- Return whether a packet of an unknown conversation is YAPP: it holds a whole header.  A header
--- that packets have in pieces is counted.
+-- that packets have in pieces is counted, unless Dissector:count_headers takes the first one.
 function Dissector:accepts(tvb, pinfo)
   if pinfo.in_error_pkt or length_of(tvb) == 0 then return false end
   local bytes = raw_of(tvb)
   local is_found = frame.find_header(bytes, 1) ~= nil
   local has_piece = bytes:find("^P") or bytes:find("YP", 1 - frame.HEADER, true)
-  self.number = pinfo.number
   if not is_found and (pinfo.visited or not (has_piece or next(self.latest))) then return false end
   local line = line_of(self, pinfo, pinfo.port_type)
-  if is_found then self.found[line.conversation] = true end
-  if not is_found and ends_header(self, line, bytes) then count_undecoded(self, pinfo, 1) end
+  local _, is_cut = ends_header(self, line, bytes)
+  if is_cut then count_undecoded(self, pinfo, 1) end
+  if is_found then self.found[line.conversation], self.latest[line] = true, nil end
   return is_found
 end
 
---- Count the headers in a packet of UDP or TCP that another protocol takes.  Called by a tap.
+--- Count the headers in a packet of UDP or TCP that is not YAPP's, as another protocol has its port
+-- or no segment of its conversation holds a whole one.  Called by a tap.
 -- tvb  of the whole packet
 function Dissector:count_headers(pinfo, tvb)
   if pinfo.number == self.number or tvb:len() == 0 then return end
