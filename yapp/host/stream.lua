@@ -23,7 +23,6 @@ Dissector.__index = Dissector
 
 local PACKET = frame_key.PACKET
 local TCP_HEADER = 20
-local CUT_HEADER = 8 -- bytes that Dissector:count_headers takes for a header that was cut
 local FIN, SYN, RST = 1, 2, 4 -- flags of TCP
 -- The packets of USB: encapsulation of Wireshark, name of serial.usb.
 local USB_KINDS = {
@@ -93,14 +92,19 @@ local function line_of(self, pinfo, kind)
   return line, is_bus_known
 end
 
--- Return whether a packet has the end of a header, and whether others of its line began it.  A "Y"
--- at their end is not kept, as many packets of others have it.
+-- Return whether bytes are the header of a message of the catalogue, but for its "Y".
+local function lacks_first(self, bytes)
+  local id, size = frame.parse(bytes, 0)
+  return id and bytes:find("^P") and self.reading.types:size_of(id) == size
+end
+
+-- Return whether a packet has the end of a header, and whether others of its line began it.  Many
+-- packets of others end with a "Y": only of a small one it is kept.
 local function ends_header(self, line, bytes)
-  local kept = self.latest[line] or "Y"
+  local kept = self.latest[line] or lacks_first(self, bytes) and "Y" or ""
   local text = kept .. bytes
   local index = frame.find_header(text, 1)
-  local is_short = #bytes < CUT_HEADER or #text < frame.HEADER
-  self.latest[line] = text:match("YP.*", 1 - (is_short and frame.HEADER or CUT_HEADER))
+  self.latest[line] = text:match(#bytes < frame.HEADER and "YP?.*" or "YP.*", 1 - frame.HEADER)
   return index ~= nil, index and index <= #kept
 end
 
@@ -209,12 +213,13 @@ local function count_undecoded(self, pinfo, count)
 end
 
 --- Return whether a packet of an unknown conversation is YAPP: it holds a whole header.  A header
--- that packets have in pieces is counted, unless Dissector:count_headers takes the first one.
+-- that packets have in pieces is counted.
 function Dissector:accepts(tvb, pinfo)
   if pinfo.in_error_pkt or length_of(tvb) == 0 then return false end
   local bytes = raw_of(tvb)
   local is_found = frame.find_header(bytes, 1) ~= nil
-  local has_piece = bytes:find("^P") or bytes:find("YP", 1 - frame.HEADER, true)
+  local has_piece = #bytes < frame.HEADER or bytes:find("YP", 1 - frame.HEADER, true) or
+    lacks_first(self, bytes)
   if not is_found and (pinfo.visited or not (has_piece or next(self.latest))) then return false end
   local line = line_of(self, pinfo, pinfo.port_type)
   local _, is_cut = ends_header(self, line, bytes)
@@ -223,15 +228,14 @@ function Dissector:accepts(tvb, pinfo)
   return is_found
 end
 
---- Count the headers in a packet of UDP or TCP that is not YAPP's, as another protocol has its port
--- or no segment of its conversation holds a whole one.  Called by a tap.
+--- Count the headers in a packet of UDP or TCP that another protocol takes.  Called by a tap.
 -- tvb  of the whole packet
 function Dissector:count_headers(pinfo, tvb)
   if pinfo.number == self.number or tvb:len() == 0 then return end
   local bytes = tvb:raw()
-  local count, index = 0, frame.find_header(bytes, 1, true)
+  local count, index = 0, frame.find_header(bytes, 1)
   while index do
-    count, index = count + 1, frame.find_header(bytes, index + 1, true)
+    count, index = count + 1, frame.find_header(bytes, index + 1)
   end
   if count > 0 then count_undecoded(self, pinfo, count) end
 end

@@ -47,13 +47,11 @@ end
 
 --- Return the index of the next header from a 1-based index on that is as the document has it; nil
 -- without one.  Zeros are none: Command, the message with the ID 0, has a size.
--- takes_cut  true to take one, too, that the bytes cut behind its ID
-function M.find_header(bytes, from, takes_cut)
+function M.find_header(bytes, from)
   local index = M.find(bytes, from)
   while index do
     local id, size = M.parse(bytes, index)
-    local is_cut = takes_cut and not id and #bytes >= index + 7
-    if (is_cut or id and id + size > 0) and M.may_be_header(bytes, index) then return index end
+    if id and id + size > 0 and M.may_be_header(bytes, index) then return index end
     index = M.find(bytes, index + 1)
   end
 end
