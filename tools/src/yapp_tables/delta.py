@@ -39,13 +39,17 @@ def write_delta(tables: Tables, _: Path, url: str, flight: str) -> None:
     """Put the rows of a flight in place of those that are there; a column that is new extends the table."""
     how = {"mode": "overwrite", "predicate": f"flight_id = '{flight}'", "schema_mode": "merge"}
     for name, rows in tables.items():
-        _again(partial(write_deltalake, _url(url, name), _rows(rows), **how))
+        _again(partial(write_deltalake, f"{url}/message={name}", _rows(rows), **how))
 
 
 def delete(url: str, flight: str, messages: Iterable[str]) -> None:
     """Remove the rows of a flight."""
-    for place in (_url(url, message) for message in messages):
-        _again(lambda place=place: DeltaTable(place).delete(f"flight_id = '{flight}'"))  # type: ignore[misc]
+    for name in messages:
+        _again(partial(_delete, f"{url}/message={name}", flight))
+
+
+def _delete(url: str, flight: str) -> None:
+    DeltaTable(url).delete(f"flight_id = '{flight}'")
 
 
 def _again(work: Callable[[], object]) -> None:
@@ -62,10 +66,6 @@ def _again(work: Callable[[], object]) -> None:
             if number == TRIES - 1 or isinstance(error, OSError):
                 raise YappError(f"Delta Lake: {text}") from error
             time.sleep(random.uniform(0, 0.2))
-
-
-def _url(url: str, message: str) -> str:
-    return f"{url}/message={message}"
 
 
 def _rows(rows: pa.Table) -> pa.Table:

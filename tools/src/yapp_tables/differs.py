@@ -223,7 +223,7 @@ class Limits:
 
     def __init__(self, path: Path | None = None) -> None:
         """path: a file of rules, None for the default set. Raises OSError."""
-        self.is_default, self.name = path is None, path.name if path else ""
+        self.is_default = path is None
         self.ranges: dict[tuple[str, str, str], tuple[float, float]] = {}
         rules, source = path or Path(__file__).with_name("default.rules"), ""
         lines = rules.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -242,10 +242,7 @@ class Limits:
 
 
 def beyond(one: Samples, name: str, limits: tuple[float, float]) -> list[Record]:
-    """Say when a value was outside its limits first and last, how far at most, and for how long.
-
-    Else, if it rises by 1 a minute as in the last minute of the flight, and is there within ten, how long it takes.
-    """
+    """Say when a value was outside its limits first and last, how far at most, and for how long."""
     found, values = [], one.columns[name]
     for word, limit, sign in zip(("below", "above"), limits, (-1, 1), strict=True):
         out = sign * values > sign * limit
@@ -253,14 +250,5 @@ def beyond(one: Samples, name: str, limits: tuple[float, float]) -> list[Record]
             span = {"at": float(one.times[out][0]), "end": float(one.times[out][-1] + one.every)}
             how = {"kind": "limit", "limit": limit, "word": word, "seconds": float(out.sum() * one.every)}
             found.append(span | how | {"value": sign * float(np.nanmax(sign * values))})
-    rising = np.isfinite(values) & one.flying  # only in flight it goes on to rise
-    last = one.times[rising][-1:]
-    use = rising & (one.times > last - 60)
-    if not found and np.isfinite(limits[1]) and use.sum() > 2 and np.ptp(one.times[use]) >= 30:
-        rate = float(np.polyfit(one.times[use] / 60, values[use], 1)[0])
-        need = limits[1] - float(np.median(values[use & (one.times > last - 6)]))
-        if rate >= 1 and 0 < need < 10 * rate:
-            span = {"at": float(last[0]) - 60, "end": float(last[0]), "value": float(values[rising][-1])}
-            found.append(span | {"kind": "left", "limit": limits[1], "seconds": need / rate * 60})
     about = {"source": one.name, "field": name, "title": one.title_of(name), "unit": one.unit_of(name)}
     return [about | row | {"is_supply": name in (one.supply() or ())} for row in found]

@@ -5,7 +5,7 @@ import hashlib
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ def flight_id(capture: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
-class Flight(Mapping[str, pa.Table]):
+class Flight(dict[str, pa.Table]):
     """The messages of one capture: `flight["motor"]` is a pyarrow.Table, `list(flight)` are their names.
 
     name, flight_id: the capture's file name, and a name of its content;
@@ -68,31 +68,21 @@ class Flight(Mapping[str, pa.Table]):
             name: read_rows(export.folder / f"{name}.csv", known[name], entry, self.about)
             for name, entry in export.fields["messages"].items()
         }
-        self._tables = {name: rows for name, rows in every.items() if len(rows)}
-        self.messages = {name: known[name] for name in self._tables}
-        if not self._tables:
+        super().__init__({name: rows for name, rows in every.items() if len(rows)})
+        self.messages = {name: known[name] for name in self}
+        if not self:
             raise CaptureError(": ".join([f"{capture}: no YAPP messages in it", *self.left_out]))
 
-    def __getitem__(self, message: str) -> pa.Table:
-        """Return the rows of a message. Raises KeyError, with a sentence, where the capture has none."""
-        if message in self._tables:
-            return self._tables[message]
+    def __missing__(self, message: str) -> pa.Table:
+        """Raise KeyError, with a sentence, where the capture has none of a message."""
         if message not in self.titles:
             raise KeyError(f"no message {message!r}; known messages: {', '.join(self.titles)}")
         why = "; ".join(self.left_out) or f"it has {', '.join(self)}"
         raise KeyError(f"{self.name} has no decoded {self.titles[message]}: {why}")
 
-    def __iter__(self) -> Iterator[str]:
-        """Return the names of the messages that the capture has."""
-        return iter(self._tables)
-
-    def __len__(self) -> int:
-        """Return how many kinds of messages the capture has."""
-        return len(self._tables)
-
     def start(self) -> int:
         """Return where seconds count from, in nanoseconds since 1970: the capture's begin, or the first message."""
-        return self.begin or min(pc.min(table["time"]).value for table in self._tables.values())
+        return self.begin or min(pc.min(table["time"]).value for table in self.values())
 
     def tables(self, capture: Path, options: Sequence[str], log: Path | None = None) -> dict[str, pa.Table]:
         """Return its messages, events, faults, summary, steps, points and the flight itself, as a data set has them.
@@ -115,7 +105,7 @@ class Flight(Mapping[str, pa.Table]):
             "points": timed(points(found, bench), pa.schema(columns)),
             "flights": pa.Table.from_pylist([self._row(capture, options)], self.records["flights"]),
         }
-        return self._tables | {name: to_write(name, rows, self.about) for name, rows in records.items()}
+        return self | {name: to_write(name, rows, self.about) for name, rows in records.items()}
 
     def _row(self, capture: Path, options: Sequence[str]) -> Record:
         """Return the row of `flights`."""

@@ -1,36 +1,21 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What went wrong in a flight: events as rows, rows as incidents."""
 
+from collections import defaultdict
 from collections.abc import Mapping
 
 import numpy as np
 import pyarrow as pa
 
 from .series import controllers, source_name
-from .tables import said
+from .tables import OWN, said
 from .tshark import Record
 
 Messages = Mapping[str, pa.Schema]
 TOGETHER = 2.0  # seconds: events of one controller that are no further apart are one incident
-INCIDENT = ("fault", "reboot", "silence", "stale")
-SERIOUS = ("fault", "reboot", "silence", "disabled", "bus", "absent", "shared")  # these come first
-# What an event means, other than a fault, or what nobody knows; of its own name where none stands here.
-TEXTS = {
-    "disabled": "Command disabled",
-    "absent": "never came",
-    "shared": "two controllers share this ID: its other events are left out",
-    "jump": "the controller's clock jumped ahead",
-    "clock": "the capture's clock went back",
-    "missing": "messages missing by Seq No",
-    "dropped": "packets dropped while capturing",
-    "stale": "the controller's time stood still",
-    "crc": "bad CRC",
-    "incomplete": "lost frames",
-    "unfinished": "cut off by the end of the capture",
-    "skipped": "bytes of no frame",
-    "invalid": "undefined value",
-}
-SINGLE = ("reboot", "silence", "disabled", "bus", "absent", "shared", "jump")  # told one by one, others are counted
+# Kinds of events, as tables.json has them. text: its meaning, the name where there is none; is_incident: part of one;
+# is_serious: these come first; is_single: told one by one, others are counted; is_loss; is_other: diff leaves it out.
+EVENTS: dict[str, Record] = defaultdict(dict, {row["name"]: row for row in OWN["kinds"]})
 CALM = 3.0  # seconds that a controller takes to be as before, after a reboot or a Command that was disabled
 
 
@@ -110,14 +95,14 @@ def other_rows(events: list[Record]) -> list[Record]:
         kind, length = event["kind"], event["length"] or 0.0
         if kind in ("fault", "unknown"):  # these have rows of their own
             continue
-        what = TEXTS.get(kind, str(kind))
+        what = str(EVENTS[kind].get("text", kind))
         if kind == "silence" and event["is_command"]:
             what = "Commands lost"
         elif kind == "bus":
             what = f"bus {str(event['what']).replace('_', ' ')}"
         elif kind == "invalid":
             what = f"{what}: {event['field']} {event['value']}"
-        key = (number,) if kind in SINGLE else (kind, event["who"], event["title"], what)
+        key = (number,) if EVENTS[kind].get("is_single") else (kind, event["who"], event["title"], what)
         row = rows.setdefault(key, _row(event, what, count=0, at=[]))
         row["count"] += event["count"] or 1
         row["at"].append(event["at"])
@@ -145,7 +130,7 @@ def joined(rows: list[Record]) -> list[Record]:
     found: list[Record] = []
     latest: dict[object, Record] = {}
     for row in sorted(rows, key=lambda row: float(row["begin"])):
-        who = row["controller"] if row["kind"] in INCIDENT else None
+        who = row["controller"] if EVENTS[row["kind"]].get("is_incident") else None
         incident = latest.get(who) if who else None
         if incident is None or (incident["until"] is not None and row["begin"] > incident["until"] + TOGETHER):
             incident = {"until": row["end"], "rows": []}
@@ -164,7 +149,7 @@ def joined(rows: list[Record]) -> list[Record]:
             "kinds": sorted({row["kind"] for row in rows}),
             "what": ", ".join(dict.fromkeys(row["what"] for row in rows)),
             "is_fault": fault["kind"] == "fault",
-            "is_serious": any(row["kind"] in SERIOUS for row in rows),
+            "is_serious": any(EVENTS[row["kind"]].get("is_serious") for row in rows),
             "source": fault["source"],
             "stopped": rows[0].get("stopped"),
         }

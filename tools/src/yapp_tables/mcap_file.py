@@ -10,7 +10,7 @@ from mcap.writer import Writer
 
 from . import __version__
 from .tables import TIME, said
-from .writers import Tables, begin, by_source, in_seconds, times_of
+from .writers import Tables, begin, by_source, in_seconds
 
 # MCAP has the time itself; the rest stands once, in `flights`.
 LEFT_OUT = ("time", "source_file", "flight_id")
@@ -34,10 +34,10 @@ def _write(writer: Any, name: str, table: pa.Table, start: int) -> None:
     properties = {each: _property(table.schema.field(each)) for each in names}
     about = {"title": name, "description": said(table.schema.metadata)["title"], "type": "object"}
     schema = writer.register_schema(name, "jsonschema", json.dumps(about | {"properties": properties}).encode())
-    for source, rows in by_source(table):
+    for source, rows, times in by_source(table, start):
         channel = writer.register_channel("/".join(("", name, *source)), "json", schema)
         cells = [rows[each].cast(pa.string()) if rows[each].type == TIME else rows[each] for each in names]
-        for time, row in zip(times_of(rows, start).to_pylist(), pa.table(cells, names).to_pylist(), strict=True):
+        for time, row in zip(times.to_pylist(), pa.table(cells, names).to_pylist(), strict=True):
             there = {key: value for key, value in row.items() if value is not None}
             writer.add_message(channel, time, json.dumps(there, ensure_ascii=False).encode(), time)
 

@@ -14,7 +14,7 @@ from asammdf import MDF, Signal
 
 from . import __version__
 from .tables import HEAD, TIME, is_message, said
-from .writers import Tables, begin, by_source, in_seconds, times_of
+from .writers import Tables, begin, by_source, in_seconds
 
 # As the plugin numbers the reserved counts in `<field>.special`.
 SPECIAL = ("nan", "inf", "-inf", "above", "below")
@@ -39,12 +39,11 @@ def _append(mdf: Any, message: str, table: pa.Table, start: int) -> None:
     # An enum's text: the number's conversion says the same.
     left_out |= {name for name in names if name.endswith("_text") and name.removesuffix("_text") in names}
     columns = [field for field in table.schema if field.type != TIME and field.name not in left_out]
-    for source, rows in by_source(table):
+    for source, rows, times in by_source(table, start * NANOSECONDS):
         if len(rows):
-            since = pc.subtract(times_of(rows, start * NANOSECONDS), start * NANOSECONDS)
-            name, times = " ".join((message, *source)), since.to_numpy() / NANOSECONDS
+            name, since = " ".join((message, *source)), (times.to_numpy() - start * NANOSECONDS) / NANOSECONDS
             groups = name, " ".join(source)
-            signals = [_signal(column, rows[column.name].combine_chunks(), times, groups) for column in columns]
+            signals = [_signal(column, rows[column.name].combine_chunks(), since, groups) for column in columns]
             title = said(table.schema.metadata)["title"]
             mdf.append(signals, acq_name=name, comment=title, common_timebase=True)
 

@@ -76,15 +76,6 @@ class Pictures:
         self._leads.setdefault(key, about)
         return len(known)
 
-    def limits_told(self) -> list[str]:
-        """Return the limits of what is drawn: "Motor Temperature at most 120 °C"."""
-        told = []
-        for figure in self.figures:
-            ends = zip(("at least", "at most"), figure["limits"], strict=True)
-            words = [f"{word} {limit:g}" for word, limit in ends if limit is not None]
-            told += [f"{figure['title']} {' and '.join(words)} {figure['unit']}".strip()] if words else []
-        return told
-
     def ordered(self) -> list[Record]:
         """Return the figures: speed, current of the supply, motor temperature and voltage first."""
         first: list[str] = []
@@ -117,7 +108,7 @@ class Pictures:
             for told in both & figures.keys() - {name}:
                 figure["lines"] = [asked | {"dash": "dash"} for asked in figures[told]["lines"]] + figure["lines"]
                 self.figures.remove(figures[told])
-            odd = {row["source"] for row in self.differs if row["field"] in both and row["kind"] != "left"}
+            odd = {row["source"] for row in self.differs if row["field"] in both}
             figure["odd"] = sorted({self.sources[one.number]["controller"] for one in found if one.name in odd})
 
     def _cloud(self, found: Found) -> None:

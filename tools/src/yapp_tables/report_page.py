@@ -19,7 +19,7 @@ import pyarrow.compute as pc
 
 from . import __version__
 from .differs import Limits
-from .errors import CaptureError, SetupError, need
+from .errors import CaptureError, need
 from .flight import Flight, StrPath, read_flight
 from .incidents import events_of, excused, fault_rows, faults_in, filter_of, is_command, joined, other_rows
 from .install import ask
@@ -50,8 +50,6 @@ def write_page(capture: Path, out: StrPath | None, rules: StrPath | None, tshark
     """Write as `report` does. Returns the page and its flight."""
     need("plotly", "report")
     page = Path(out) if out else capture.with_suffix(".html")
-    if not page.parent.is_dir():
-        raise SetupError(f"{page} cannot be written: no folder {page.parent}")
     limits = Limits(Path(rules) if rules else None)
     flight = read_flight(capture, tshark, has_begin=True)
     count = faults_in(flight.events)
@@ -64,9 +62,9 @@ def _least_margin(capture: Path, rules: Path, tshark: Tshark) -> str:
     """Say which value came nearest to the limit of its rule, or went farthest beyond it; "" for none."""
     text = rules.read_text(encoding="utf-8", errors="replace")
     rows = [row for row in tshark.ask(capture, ["check,rules=rules,json"], text)[0] if row.get("percent") is not None]
-    if not rows:
+    least = min(rows, key=lambda row: row["percent"], default=None)
+    if least is None:
         return ""
-    least = min(rows, key=lambda row: row["percent"])
     margin = f"{least['margin']:.4g} ({least['percent']:.3g} %)"
     return f" Least margin: {margin} at the rule {least['rule']}, of {source_name(least)} in frame {least['frame']}."
 
@@ -83,7 +81,7 @@ def cards(capture: Path, tshark: Tshark, numbers: Iterable[int]) -> tuple[list[R
 
 
 def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Record] = (), margin: str = "") -> None:
-    """Write the page of a flight to path; told: the cards of its faults; margin: the least one. Raises OSError.
+    """Write the page of a flight to path; told: the cards of its faults; margin: the least one. Raises SetupError.
 
     Seconds count from the flight's first packet, as in Wireshark.
     """
@@ -130,9 +128,7 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
         "differs": merged(pictures.differs, count),
         "controllers": list(matrix.labels.values()),
         "flight": pictures.phases,
-        "limits": pictures.limits_told(),
         "has_default_limits": limits.is_default,
-        "rules": limits.name,
         "margin": margin,
         "sources": pictures.sources,
         "times": pictures.times,

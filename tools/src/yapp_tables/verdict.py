@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The top of the page: a verdict, one line a controller, one sentence a cause, and the table of incidents.
-
-Seconds have three decimals everywhere, but in a headline.
-"""
+"""The top of the page: a verdict, one line a controller, one sentence a cause, and the table of incidents."""
 
 import html
 import re
@@ -25,12 +22,6 @@ def duration(seconds: float) -> str:
     """Return `0.450 s`, `40.504 s`, `2 min 24.000 s`."""
     minutes, rest = divmod(round(seconds * 1000), 60_000)
     return f"{minutes} min " * bool(minutes) + f"{rest / 1000:.3f} s"
-
-
-def about(seconds: float) -> str:
-    """Return a duration for a headline: `0.9 s`, `40 s`, `2 min 24 s`."""
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{seconds:.2g} s" if seconds < 9.95 else f"{minutes} min " * bool(minutes) + f"{rest} s"
 
 
 def clock(seconds: float) -> str:
@@ -134,10 +125,7 @@ def _differences(rows: list[Record], whole: float) -> Iterator[tuple[float, str,
             text += f", hence {warm[0]['away']:.0f} °C hotter"
             hot = []
         yield 40.0, text, row
-    # Who warms as the others do is not called hot before it is.
-    fields = {row["field"] for row in hot}
-    limits = {row["field"]: row for row in rows
-              if row["kind"] == "limit" or (row["kind"] == "left" and row["field"] in fields)}  # fmt: skip
+    limits = {row["field"]: row for row in rows if row["kind"] == "limit"}
     if hot:
         row, *others = hot
         end = "at the end" if row["end"] > whole - 10 else f"at {clock(row['end'])[:-4]}"
@@ -164,8 +152,6 @@ def _differences(rows: list[Record], whole: float) -> Iterator[tuple[float, str,
 
 def _limit(row: Record, is_short: bool = False) -> str:
     limit = f"{row['limit']:g} {row['unit']}"
-    if row["kind"] == "left":
-        return f"{limit} {about(row['seconds'])} later" if is_short else f"reaches {limit} in {about(row['seconds'])}"
     value = f"{row['value']:.1f} {row['unit']}, " * (not is_short)
     return f"{value}{row['word']} {limit} for {duration(row['seconds'])} from {clock(row['at'])}"
 
@@ -202,14 +188,14 @@ def headline(data: Record) -> tuple[str, str]:
     ):
         rows = [row for row in rest if row["kinds"] == [kind] and row["rows"][0]["is_command"] == is_command]
         if rows:
-            said.append((one if len(rows) == 1 else many).format(about(_longest(rows, data)), n=len(rows)))
+            said.append((one if len(rows) == 1 else many).format(duration(_longest(rows, data)), n=len(rows)))
     said += dict.fromkeys(row["what"] for row in rest if not {"silence", "disabled", "reboot"} & set(row["kinds"]))
     differs = data["differs"]
     loaded = {row["label"] for row in differs if row["kind"] == "level"}
     hot = {row["label"] for row in differs if (row["kind"] == "temperature" and row["away"] > 0)
            or (row["kind"] == "limit" and row["unit"] in DEGREES)}  # fmt: skip
     sags = [row for row in differs if row["kind"] == "sag"]
-    odd = {row["label"] for row in differs if row["kind"] not in ("left", "sag")}
+    odd = {row["label"] for row in differs if row["kind"] != "sag"}
     odd -= (hot - loaded) | {row["label"] for row in faults}
     said += [f"{count_of(len(hot - loaded), 'controller')} too hot"] if hot - loaded else []
     said += [f"battery down to {min(row['value'] for row in sags):.1f} V"] if sags else []
@@ -265,11 +251,9 @@ def _phases(data: Record) -> str:
     innocent = [label for label in data["controllers"] if label not in found]
     innocent += [] if any("bus" in row["kinds"] for row in data["incidents"]) else ["the buses"]
     flight = f"No findings about {', '.join(innocent)}. {flight}" if innocent else flight
-    limits = ", ".join(data["limits"])
     if data["has_default_limits"]:
-        return f"{flight}Limits: the default set of this page, not yours: {limits}; --rules FILE draws yours."
-    drawn = f"Limits of {data['rules']}: {limits}." if limits else ""
-    return f"{flight}{drawn}{data['margin']}"
+        return f"{flight}Limits of temperatures: the default set of this page, not yours; --rules FILE draws yours."
+    return f"{flight}{data['margin']}"
 
 
 def table(data: Record) -> str:

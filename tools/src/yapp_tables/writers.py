@@ -49,22 +49,17 @@ def _path(path: Path, name: str, suffix: str) -> Path:
 # ---- MF4 and MCAP keep each source by itself: four controllers in one channel would be a zigzag
 
 
-def by_source(table: pa.Table) -> Iterator[tuple[tuple[str, ...], pa.Table]]:
-    """Return the rows of each source, and its name, of which bus and ID are two words.
+def by_source(table: pa.Table, start: int) -> Iterator[tuple[tuple[str, ...], pa.Table, pa.Array]]:
+    """Return name, rows and times of each source; bus and ID are two words of a name.
 
-    Events, faults, the summary and the flight stay together, and are called nothing.
+    What is no message stays together, and has no name. Times are nanoseconds since 1970, start where there is none.
     """
     for name, own in split(plain(table)) if is_message(table) else [("", plain(table))]:
-        is_named = is_message(table) and own["source"][0].is_valid
-        yield (name,) if is_named else tuple(name.split()), own.combine_chunks()
+        rows, is_named = own.combine_chunks(), is_message(table) and own["source"][0].is_valid
+        times = rows["time"].cast(pa.int64()) if "time" in rows.schema.names else pa.nulls(len(rows), pa.int64())
+        yield (name,) if is_named else tuple(name.split()), rows, pc.fill_null(times, start)
 
 
 def begin(tables: Iterable[pa.Table]) -> int:
     """Return the time of the first message, in nanoseconds since 1970."""
     return int(min(rows["time"][0].value for rows in tables if is_message(rows)))
-
-
-def times_of(rows: pa.Table, start: int) -> pa.ChunkedArray:
-    """Return the times of rows in nanoseconds since 1970; start where there is none."""
-    times = rows["time"] if "time" in rows.schema.names else pa.chunked_array([pa.nulls(len(rows))])
-    return pc.fill_null(times.cast(pa.int64()), start)
