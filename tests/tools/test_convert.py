@@ -99,8 +99,8 @@ def test_a_full_disk_is_a_sentence_and_leaves_no_half_file(make_capture, yapp_ta
     flight(make_capture)
     (tmp_path / ".page.html.part").symlink_to("/dev/full")
     done = yapp_tables("report", "flight.pcapng", "--out", "page.html")
-    assert done.returncode == 1
-    assert "No space left on device" in done.stderr
+    assert done.returncode == 2
+    assert "page.html cannot be written: No space left on device" in done.stderr
     assert not (tmp_path / "page.html").exists()
 
 
@@ -115,6 +115,8 @@ def test_a_full_disk_is_a_sentence_and_leaves_no_half_file(make_capture, yapp_ta
         (["flight.pcap", "--to", "csv", "--out", "nosuch://bucket/data"], 2, "nosuch"),
         (["flight.pcap", "--to", "csv", "--out", "s3://bucket"], 2, "names no folder"),
         (["flight.pcap", "--out", "s3:/bucket/data"], 2, "neither a folder nor a URL"),
+        (["flight.pcap", "--out", ""], 2, "'' is neither a folder nor a URL"),
+        (["flight.pcap", "--out", "data", "--jobs", "0"], 2, "--jobs 0: at least 1 capture at a time"),
     ],
 )
 def test_bad_input_gets_a_sentence(make_capture, yapp_tables, arguments, code, sentence):
@@ -125,10 +127,21 @@ def test_bad_input_gets_a_sentence(make_capture, yapp_tables, arguments, code, s
     assert "Traceback" not in done.stderr
 
 
-def test_rules_that_are_not_there(yapp_tables):
-    done = yapp_tables("report", "flight.pcap", "--rules", "none.rules")
-    assert done.returncode == 2
-    assert "No such file or directory: 'none.rules'" in done.stderr
+@pytest.mark.parametrize(
+    ("option", "name", "sentence"),
+    [
+        ("--rules", "none.rules", "none.rules: No such file or directory"),
+        ("--rules", "bad.rules", "1 error in the file of rules:\n  line 2: motor.rpm=1: no field"),
+        ("--out", ".", "'.' is a folder"),
+        ("--out", "none/page.html", "in no folder"),
+    ],
+)
+def test_a_report_that_cannot_be_written(make_capture, yapp_tables, tmp_path, option, name, sentence):
+    flight(make_capture, says="yapp: check: rules:2: motor.rpm=1: no field")
+    (tmp_path / "bad.rules").write_text("fault=0\nmotor.rpm=1\n")
+    done = yapp_tables("report", "flight.pcapng", option, name)
+    assert (done.returncode, sentence in done.stderr) == (2, True), done.stderr
+    assert not list(tmp_path.glob("*.html"))
 
 
 @pytest.mark.parametrize("command", EXAMPLES)

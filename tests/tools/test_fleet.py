@@ -6,6 +6,7 @@ import json
 import os
 import pty
 import re
+import signal
 import struct
 import subprocess
 import sys
@@ -42,27 +43,32 @@ def assert_complete(folder, is_clean=True):
     assert not (is_clean and list((folder / "data.yapp-tables").glob("*-work-*")))
 
 
-def test_a_killed_run_is_finished_by_the_next(fleet):
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_a_killed_run_is_finished_by_the_next(fleet, number):
     command = [sys.executable, "-m", "yapp_tables", "convert", "flights/*.pcapng", "--to", "parquet", "--out", "data"]
-    with started([*command, "--tshark", FAKE, "--jobs", "2"], fleet):
+    with started([*command, "--tshark", FAKE, "--jobs", "2"], fleet) as run:
         wait_for_results(fleet, 3)
+        (fleet / "flights/hold").touch()  # a tshark that is at work does not end by itself
+        while len(list((fleet / "flights").glob("*.tries"))) < 12:
+            time.sleep(0.05)
+        run.send_signal(number)
+        run.wait(timeout=5)
+        (fleet / "flights/hold").unlink()
     done = convert(fleet)
     assert done.returncode == 0, done.stderr
-    assert_complete(fleet, is_clean=False)
+    assert_complete(fleet, is_clean=number != signal.SIGKILL)
+
+
+def test_a_flight_with_two_names_is_there_once(make_capture, tmp_path):
+    for number in range(8):
+        make_capture(f"flights/{number}.pcapng", motor=[motor_row(0)])
+    assert "8 captures, 2 rows in data" in convert(tmp_path, "--jobs", "8").stderr
+    assert len(list((tmp_path / "data/message=motor").glob("*"))) == 1
 
 
 def test_a_scheduler_that_dies_is_a_sentence_and_what_was_done_is_kept(fleet):
-    dask = [
-        sys.executable,
-        "-m",
-        "distributed.cli.dask_scheduler",
-        "--host",
-        "127.0.0.1",
-        "--port",
-        "0",
-        "--no-dashboard",
-    ]
-    with started([*dask, "--scheduler-file", "scheduler.json"], fleet) as scheduler:
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
+    with started([*dask, "--no-dashboard", "--scheduler-file", "scheduler.json"], fleet) as scheduler:
         while not (fleet / "scheduler.json").exists():  # conftest.py ends a test that waits for ever
             time.sleep(0.1)
         address = json.loads((fleet / "scheduler.json").read_text())["address"]

@@ -5,6 +5,7 @@ import argparse
 import gc
 import logging
 import os
+import signal
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import NoReturn
 from . import __version__, install
 from .errors import SetupError, YappError, count_of
 from .scratch import write_whole
-from .tshark import Tshark
+from .tshark import Tshark, stop
 
 FAILED, REFUSED, INCOMPLETE = 1, 2, 3
 # Two examples of each command, behind its --help.
@@ -36,24 +37,31 @@ def run() -> NoReturn:
     """Run the command as a process of its own: these settings save 0.2 s of CPU."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small here
     gc.set_threshold(100_000)  # imports leave no garbage
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _stop)
     code = main()
-    sys.stdout.flush()
     os._exit(code)  # numpy and Arrow need not be taken apart
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command. Returns its exit code.
+def _stop(number: int, _: object) -> NoReturn:
+    """End what runs; what it left half made is removed on the way out."""
+    stop()
+    sys.exit(128 + number)
 
-    0 all done, 1 a capture failed, 2 nothing could be done, 3 done, but not all that looks like YAPP was decoded.
-    """
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command. Returns its exit code: docs/tables.md."""
     given = _parser().parse_args(arguments)
     try:
-        return int(given.run(given) or 0)
-    except (YappError, OSError) as error:
+        code = int(given.run(given) or 0)
+        sys.stdout.flush()
+        return code
+    except YappError as error:
         _say([str(error)])
-        return REFUSED if isinstance(error, SetupError | FileNotFoundError) else FAILED
-    except KeyboardInterrupt:
-        return 130
+        return REFUSED if isinstance(error, SetupError) else FAILED
+    except OSError as error:
+        _say([f"{error.filename}: {error.strerror}" if error.filename else str(error)])
+        return REFUSED
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -76,7 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     convert.add_argument("--with", dest="bench", metavar="bench.csv", help="a thrust stand's log of this one capture")
 
     report = commands.add_parser("report", parents=[how], help="write a page about a capture")
-    report.add_argument("--out", metavar="PAGE.html", help="the page, without it one named as the capture")
+    report.add_argument("--out", type=_file, metavar="PAGE.html", help="the page, without it one named as the capture")
     report.add_argument("--rules", type=Path, metavar="FILE", help="rules: their ranges are limits in the pictures")
 
     case = commands.add_parser("case", parents=[how], help="pack a fault for the vendor: frames, card, page")
@@ -85,23 +93,23 @@ def _parser() -> argparse.ArgumentParser:
     for command in (report, case):
         command.add_argument("capture", metavar="CAPTURE", help="the file")
     case.add_argument("number", metavar="N", nargs="?", type=int, default=1, help="of the fault, 1 for the first")
-    case.add_argument("--out", metavar="case.zip", required=True, help="the zip")
+    case.add_argument("--out", type=_file, metavar="case.zip", required=True, help="the zip")
 
     diff = commands.add_parser("diff", parents=[how], help="compare two runs: what got worse, better, or changed")
     diff.add_argument("before", metavar="BEFORE", help="a capture, a folder of them, or a pattern in quotes")
     diff.add_argument("after", metavar="AFTER", help="the same")
     diff.add_argument("--rules", type=Path, metavar="FILE", help="rules that are judged on both, too")
-    diff.add_argument("--junit", metavar="FILE", help="write the verdict as a JUnit suite")
+    diff.add_argument("--junit", type=_file, metavar="FILE", help="write the verdict as a JUnit suite")
     diff.add_argument("--json", action="store_true", help="one JSON object a line instead of sentences")
-    diff.add_argument("--out", metavar="PAGE.html", help="write a page with both, bins side by side")
+    diff.add_argument("--out", type=_file, metavar="PAGE.html", help="write a page with both, bins side by side")
 
     trend = commands.add_parser("trend", help="find what drifts over the flights of a data set")
     trend.add_argument("data", metavar="DATA", help="the folder of convert --to parquet")
     trend.add_argument("--json", action="store_true", help="one JSON object a line, for each value of each controller")
-    trend.add_argument("--out", metavar="PAGE.html", help="write a page with a small picture a value")
+    trend.add_argument("--out", type=_file, metavar="PAGE.html", help="write a page with a small picture a value")
 
     learn = commands.add_parser("baseline", parents=[how], help="learn rules for -z yapp,check from good flights")
-    learn.add_argument("--out", required=True, metavar="flight.rules", help="the file of rules")
+    learn.add_argument("--out", type=_file, required=True, metavar="flight.rules", help="the file of rules")
     for command in (convert, learn):
         command.add_argument("captures", nargs="+", metavar="CAPTURE", help="files, folders, or patterns in quotes")
 
@@ -115,6 +123,14 @@ def _parser() -> argparse.ArgumentParser:
         lines = "\n".join(f"  yapp-tables {name} {example}".rstrip() for example in EXAMPLES[name])
         command.epilog, command.formatter_class = f"examples:\n{lines}", argparse.RawDescriptionHelpFormatter
     return parser
+
+
+def _file(text: str) -> Path:
+    """Return a file to write. What takes minutes must not fail at the end for a folder that is not there."""
+    path = Path(text)
+    if path.is_dir() or not path.parent.is_dir():
+        raise argparse.ArgumentTypeError(f"{text!r} is a folder, or in no folder: name a file")
+    return path
 
 
 def _say(texts: Iterable[str]) -> None:
@@ -145,8 +161,8 @@ def _convert(given: argparse.Namespace) -> int:
         partial = f"read in part: {result.partial}" if result.partial else None
         said = (result.failure, partial, *result.lacks, *result.notes)
         _say(f"{result.capture}: {text}" for text in said if text)
-    rows, whole = sum(sum(result.messages.values()) for result in results), count_of(len(results), "capture")
-    _say([f"{whole}, {count_of(rows, 'row')} in {given.out}"])
+    rows, whole = {one.flight_id: sum(one.messages.values()) for one in results}, count_of(len(results), "capture")
+    _say([f"{whole}, {count_of(sum(rows.values()), 'row')} in {given.out}"])
     failed = sum(bool(result.failure or result.partial) for result in results)
     lacking = sum(bool(result.lacks) for result in results)
     if failed:
@@ -167,7 +183,7 @@ def _report(given: argparse.Namespace) -> int:
 def _case(given: argparse.Namespace) -> None:
     from .report_page import write_case
 
-    print(f"{given.out}: {write_case(Path(given.capture), given.number, _tshark(given), Path(given.out))}")
+    print(f"{given.out}: {write_case(Path(given.capture), given.number, _tshark(given), given.out)}")
 
 
 def _diff(given: argparse.Namespace) -> int:
@@ -175,9 +191,9 @@ def _diff(given: argparse.Namespace) -> int:
     from .dataset import find
 
     found = diff.compare(find(given.before), find(given.after), _tshark(given), given.rules)
-    if given.junit:
-        write_whole(Path(given.junit), diff.junit(found))
     _print(given, diff, found)
+    if given.junit:
+        write_whole(given.junit, diff.junit(found))
     return found.code
 
 
@@ -188,10 +204,10 @@ def _trend(given: argparse.Namespace) -> None:
 
 
 def _print(given: argparse.Namespace, module: ModuleType, found: object) -> None:
-    if given.out:
-        write_whole(Path(given.out), module.page(found))
     for line in module.json_lines(found) if given.json else module.lines(found):
         print(line)
+    if given.out:
+        write_whole(given.out, module.page(found))
 
 
 def _baseline(given: argparse.Namespace) -> int:
@@ -200,7 +216,7 @@ def _baseline(given: argparse.Namespace) -> int:
 
     captures = find(given.captures)
     text, left = baseline.learn(captures, _tshark(given))
-    write_whole(Path(given.out), text)
+    write_whole(given.out, text)
     _say([*left, f"{count_of(len(captures), 'flight')} in {given.out}"])
     return INCOMPLETE if left else 0
 

@@ -9,12 +9,14 @@ import glob
 import json
 import os
 import re
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from pyarrow import fs
@@ -27,6 +29,7 @@ from .tshark import Record, Tshark, check_file
 from .writers import Writer
 
 NOTES = ".yapp-tables"
+BUSY: dict[str, Lock] = defaultdict(Lock)  # by flight: of two copies of a capture, one is converted
 # What tells the form of a capture: `flight` is the name of flight.pcapng.gz.
 SUFFIXES = re.compile(r"(\.(gz|zst|lz4|pcapng|pcap|cap|log|txt|yapp|candump))+$", re.IGNORECASE)
 # The module and the function that write a kind, and the extra that it needs: imported only when it is asked for.
@@ -155,7 +158,7 @@ def find(patterns: StrPath | Iterable[StrPath]) -> list[Path]:
     """Return the files that are meant, absolute, in order, each once; of a folder those in it. Raises SetupError."""
     found: dict[Path, None] = {}
     for given in [patterns] if isinstance(patterns, str | os.PathLike) else patterns:
-        pattern = os.path.join(given, "*") if os.path.isdir(given) else os.fspath(given)
+        pattern = os.path.join(glob.escape(os.fspath(given)), "*") if os.path.isdir(given) else os.fspath(given)
         names = [pattern]
         if not os.path.exists(pattern) and glob.has_magic(pattern):
             names = sorted(filter(os.path.isfile, glob.glob(pattern, recursive=True)))
@@ -189,15 +192,17 @@ def convert(
     if bench and len(found) > 1:
         raise SetupError(f"{bench} is the log of one capture: name that one alone")
     writer(to)
-    if re.match(r"\w{2,}:(?!//)", str(out)):  # C: is a drive
-        raise SetupError(f"{out} is neither a folder nor a URL such as s3://bucket/folder")
+    if jobs is not None and jobs < 1:
+        raise SetupError(f"--jobs {jobs}: at least 1 capture at a time")
+    if re.match(r"\w{2,}:(?!//)|$", str(out)):  # C: is a drive
+        raise SetupError(f"{str(out)!r} is neither a folder nor a URL such as s3://bucket/folder")
     where, tshark = str(out) if "://" in str(out) else os.path.abspath(out), Tshark(**how)
     dataset = DataSet(where, to)
     # Of a single capture its own run says it.
     made = made_by(tshark, tshark.fields()) if len(found) > 1 else None
     dataset.open()
     task = partial(convert_one, out=where, to=to, bench=bench and os.path.abspath(bench), made=made, **how)
-    with _executor(scheduler, jobs or os.cpu_count() or 1) as pool:
+    with _executor(scheduler, jobs or os.cpu_count()) as pool:
         done = _run(found, task, pool)
     flights = {result.capture: result.flight_id for result in done.values() if not result.failure}
     for old in dataset.results():  # of a capture that has another content now
@@ -207,10 +212,10 @@ def convert(
 
 
 @contextmanager
-def _executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
+def _executor(scheduler: str | None, jobs: int | None) -> Iterator[Executor]:
     """Where the work is done: `jobs` threads, each waiting for a tshark of its own, or the cluster."""
     if scheduler is None:
-        pool = ThreadPoolExecutor(max(1, jobs))
+        pool = ThreadPoolExecutor(jobs)
         try:
             yield pool
         finally:
@@ -284,15 +289,16 @@ def convert_one(
     try:
         check_file(capture)
         flight = flight_id(capture)
-        known = None if bench else dataset.find(flight)
-        if known and dataset.has(known.files):
-            made = made or made_by(tshark, tshark.fields())
-            if known.made_by == made:
-                if known.capture != str(capture) and not os.path.exists(known.capture):  # it was moved
-                    known = replace(known, capture=str(capture))
-                    dataset.note(known)
-                return known
-        return _convert(capture, dataset, tshark, made, Path(bench) if bench else None)
+        with BUSY[flight]:
+            known = None if bench else dataset.find(flight)
+            if known and dataset.has(known.files):
+                made = made or made_by(tshark, tshark.fields())
+                if known.made_by == made:
+                    if known.capture != str(capture) and not os.path.exists(known.capture):  # it was moved
+                        known = replace(known, capture=str(capture))
+                        dataset.note(known)
+                    return known
+            return _convert(capture, dataset, tshark, made, Path(bench) if bench else None)
     except SetupError:
         raise
     except OSError as error:

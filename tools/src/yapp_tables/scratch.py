@@ -34,10 +34,13 @@ def scratch(parent: str | os.PathLike[str] | None = None) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file, in place of one that is there: nobody ever reads half of it. Raises OSError."""
-    aside = path.with_name(f".{path.name}.part")
+    """Write a file, in place of one that is there: nobody ever reads half of it. Raises SetupError."""
+    aside = path.parent / f".{path.name}.part"
     try:
         aside.write_bytes(content.encode() if isinstance(content, str) else content)
         os.replace(aside, path)
+    except OSError as error:
+        raise SetupError(f"{path} cannot be written: {error.strerror}") from error
     finally:
-        aside.unlink(missing_ok=True)
+        with suppress(OSError):
+            aside.unlink()

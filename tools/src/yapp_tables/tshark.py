@@ -11,9 +11,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
+from threading import Event
 from typing import Any
+from weakref import WeakSet
 
-from .errors import CaptureError, SetupError, YappError
+from .errors import CaptureError, SetupError, YappError, count_of
 from .install import find_tshark
 from .scratch import scratch
 
@@ -30,6 +32,8 @@ PLUGIN_SAYS = "yapp: "
 COPIES = re.compile(r"^\d+ messages? (was|were) recorded twice")
 # Exit codes: a rule does not hold, a statistic leaves something out.
 OF_STATISTICS = (20, 21)
+RUNNING: WeakSet[subprocess.Popen[str]] = WeakSet()
+STOPPED = Event()
 
 Record = dict[str, Any]
 
@@ -93,14 +97,17 @@ class Tshark:
         """Return the JSON lines of statistics, what the plugin says they leave out, and the text of others.
 
         rules: what stands in the file `rules`. Of a capture that can be read in part, the answer is about that part:
-        the export says so. Raises as export does.
+        the export says so. Raises as export does, and SetupError where a rule has errors.
         """
         with scratch() as folder:
             (folder / "rules").write_text(rules, encoding="utf-8")
             done = self._ask(capture, statistics, folder)
         self._refusal(capture, done, written=True)
+        said = _said(done)
+        if wrong := [found[1][:200] for line in said if (found := re.match(r"check: (?:rules=)?rules:(.*)", line))]:
+            raise SetupError("\n  line ".join([f"{count_of(len(wrong), 'error')} in the file of rules:", *wrong[:5]]))
         text = "".join(line for line in done.stdout.splitlines(keepends=True) if not line.startswith("{"))
-        return list(_json_lines(done.stdout)), _said(done), text
+        return list(_json_lines(done.stdout)), said, text
 
     def fields(self) -> Record:
         """Return fields.json of this plugin with these options. Asked with an empty capture: it proves both."""
@@ -168,13 +175,26 @@ class Tshark:
 
 
 def _run(command: list[str], folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    if STOPPED.is_set():
+        raise SetupError("stopped; the same command does the rest")
     try:
-        return subprocess.run(
-            command, cwd=folder, env=LARGE_PIECES | os.environ, stdin=subprocess.DEVNULL, capture_output=True,
-            encoding="utf-8", errors="replace", check=False,
+        process = subprocess.Popen(
+            command, cwd=folder, env=LARGE_PIECES | os.environ, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, encoding="utf-8", errors="replace",
         )  # fmt: skip
     except OSError as error:
         raise SetupError(f"{command[0]} cannot be run ({error.strerror}): {INSTALL_TSHARK}") from error
+    with process:
+        RUNNING.add(process)
+        said = process.communicate()
+    return subprocess.CompletedProcess(command, process.returncode, *said)
+
+
+def stop() -> None:
+    """End each tshark that runs, of all threads, and let none begin."""
+    STOPPED.set()
+    for process in list(RUNNING):
+        process.kill()
 
 
 def check_file(capture: Path) -> None:
