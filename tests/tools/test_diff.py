@@ -5,7 +5,10 @@ All pairs: pairs.py 0 100.
 """
 
 import json
+import math
 import re
+import struct
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,6 +16,8 @@ import pairs
 import pytest
 from running import PLUGIN, run_tables
 from yapp_tables.changes import change, more_often
+from yapp_tables.diff import Pair, Run, _intervals
+from yapp_tables.series import Samples
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +73,7 @@ def test_what_is_planted_is_found_with_its_size_and_nothing_else(runs):
     [
         ("short.pcapng", "equal.pcapng", pairs.OPTIONS, "BEFORE lasts 9"),
         ("before.pcapng", "slow.pcapng", pairs.OPTIONS, "too few loads in common"),
+        ("before.pcapng", "still.pcapng", pairs.OPTIONS, "no motor turned in AFTER"),
         ("before.pcapng", "can0.pcapng", pairs.OPTIONS, "the controllers differ: rl (Motor Data) is in BEFORE only"),
     ],
 )
@@ -77,6 +83,8 @@ def test_what_cannot_be_compared_is_said(runs, monkeypatch, before, after, optio
         with monkeypatch.context() as patch:
             patch.setattr(pairs.Weather, "command", lambda _self, time: 500 + time)
             pairs.write(runs / "slow.pcapng", "d", seconds=40)
+            patch.setattr(pairs.Weather, "command", lambda _self, _time: 0.0)
+            pairs.write(runs / "still.pcapng", "d", seconds=40)
             run = pairs.Motor.run
             patch.setattr(pairs.Motor, "run", lambda self, *given: run(self, *given) if self.number < 2 else ())
             pairs.write(runs / "can0.pcapng", "e", seconds=40)
@@ -99,6 +107,32 @@ def test_rules_are_judged_on_both(runs):
     done = diff(runs, "before.pcapng", "after.pcapng", "--rules", "flight.rules")
     assert re.search("worse: .*: rule fault=9 held, now did not hold", done.stdout)
     assert "motor_temperature=..200" not in done.stdout
+
+
+def test_a_sensor_that_fails_is_worse(runs, monkeypatch):
+    run, zero = pairs.Motor.run, struct.pack("<H", pairs.flights.count(0, *pairs.AMPERES))
+
+    def blind(motor, *given):
+        for at, bus, ident, payload in run(motor, *given):
+            is_one = ident == 0x210 and motor.number == 0
+            yield at, bus, ident, payload[:10] + zero + payload[12:] if is_one else payload
+
+    monkeypatch.setattr(pairs.Motor, "run", blind)
+    pairs.write(runs / "blind.pcapng", "f")
+    *rows, verdict = map(json.loads, diff(runs, "before.pcapng", "blind.pcapng", "--json").stdout.splitlines())
+    worse = [(row["controller"], row["measure"]) for row in rows if row["kind"] == "worse"]
+    assert worse == [("fl", "absent values of DC Current")]
+    assert verdict["notes"][-1] == "not compared, with too few numbers or with both signs: DC Current of fl"
+
+
+def test_a_larger_jitter_is_no_other_rate():
+    rng, numbers = np.random.default_rng(1), np.arange(1500)
+    times = [numbers / 10 + rng.normal(0, jitter, 1500) for jitter in (0.02, 0.002)]
+    sides = [Samples("m", "m", "motor", "Motor", 0.1, {}, own, numbers, {}, set()) for own in times]
+    run = Run("", [SimpleNamespace(name="")])
+    rate, jitter = _intervals(Pair((run, run), tuple(sides)))
+    assert abs(rate.change.value) < 0.005
+    assert jitter.change.value == pytest.approx(math.log(0.1), abs=0.2)
 
 
 def test_several_captures_of_a_side(runs, tmp_path):

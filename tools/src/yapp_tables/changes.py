@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What flights are compared by: changes with intervals, the load of a controller, its response to a command.
-
-docs/compare.md explains each step. Values 0.1 s apart say nearly the same. So samples are taken together in blocks of
-some seconds, which are taken to be independent: what differs between blocks, not between samples, is the error of a
-mean.
-"""
+"""What flights are compared by: changes with intervals, load, response to a command; docs/compare.md explains it."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -173,7 +168,7 @@ def smoothed(times: Array, values: Array, *lengths: float) -> Array:
 
 def dependent(one: Samples) -> Iterator[tuple[str, str]]:
     """Yield what depends on the load, with its unit, A, % or °C: speed is the load, power follows from current."""
-    for name in one.names("value", "A", "%", *DEGREES):
+    for name in one.names("value", "A", "%", *DEGREES) if one.names("clock") else ():
         if name not in (one.speed() or ()) and not name.endswith(("_commanded", "_error")):
             yield name, "°C" if one.unit_of(name) in DEGREES else one.unit_of(name)
 

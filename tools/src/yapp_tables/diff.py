@@ -17,7 +17,7 @@ from . import pages
 from .changes import BLOCK, LEAST_BLOCKS, Change, Following, Load, change, comparable, dependent, more_often, responses
 from .errors import count_of, progress
 from .flight import Flight, read_flight
-from .incidents import events_of
+from .incidents import EVENTS, events_of
 from .series import APART, DEGREES, Array, Samples, joined, samples, source_name
 from .tshark import Record, Tshark
 
@@ -26,9 +26,6 @@ CHANCE, CHANCE_OF_EVENTS = 0.02, 0.04  # that one of all comparisons is called w
 LEAST_OF_ALL = 0.02  # of a multiple that all controllers have: it may be the wind
 MANY = 3  # flights of each side, over which wind and weather are even
 ALIKE = "it may be the weather: three flights of each side would tell"
-# Events that are no fault of a controller's, or have a comparison of their own.
-OTHER_EVENTS = ("fault", "unknown", "absent", "clock", "unfinished", "shared")
-LOSSES = ("incomplete", "crc", "missing", "skipped", "dropped", "stale")
 BURST = 2.0  # seconds in which losses count once
 ORDER = {"worse": 0, "changed": 1, "better": 2}
 NUMBERS = ("before", "after", "change", "low", "high")  # values of both runs, their change, and its 95 % interval
@@ -50,6 +47,7 @@ KINDS = {
     "jitter": Kind(0.3, is_multiple=True),
     "rate": Kind(0.02, is_multiple=True, worse=-1),
     "lag": Kind(20.0),
+    "share": Kind(5.0),
 }
 
 
@@ -72,7 +70,7 @@ class Run:
 
 
 class Pair:
-    """A message of a controller in both runs. times, is_after: (n), of all samples of BEFORE, then of AFTER.
+    """A message of a controller in both runs. times, is_after, every (all true): (n), of BEFORE, then of AFTER.
 
     loads: of both runs, of the controller; None where its speed is unknown.
     """
@@ -83,6 +81,7 @@ class Pair:
         self.controller, self.title = sides[0].controller, sides[0].title
         self.times = np.concatenate([one.times for one in sides])
         self.is_after = np.repeat([False, True], [len(one.times) for one in sides])
+        self.every = np.ones(len(self.times), bool)
 
     def load(self) -> Load | None:
         """Return the load at the times of both."""
@@ -96,10 +95,6 @@ class Pair:
     def change(self, values: Array, good: Array, load: Array | None = None) -> Change | None:
         """Return how much higher the good values are AFTER."""
         return change(self.times, np.where(good, values, np.nan), self.is_after, load)
-
-    def begins(self) -> list[Record]:
-        """Return the first sample of each run."""
-        return [run.where(own, 0) for run, own in zip(self.runs, self.sides, strict=True)]
 
     def typical(self, good: Array, values: Array) -> list[Record]:
         """Return where each run has the good value that is nearest to its own median."""
@@ -146,15 +141,20 @@ class Comparison:
 
 def compare(before: Sequence[Path], after: Sequence[Path], tshark: Tshark, rules: Path | None = None) -> Comparison:
     """Return what differs between two runs, each of one or several captures. Raises YappError."""
-    text = rules.read_text(encoding="utf-8") if rules else ""
+    text = rules.read_text(encoding="utf-8", errors="replace") if rules else ""
     found = Comparison((_read("BEFORE", before, tshark, text), _read("AFTER", after, tshark, text)))
     for run in found.runs:
         said = dict.fromkeys(text for flight in run.flights for text in flight.left_out)
         found.notes += [f"{run.name}: {text}" for text in said]
     found.reason = _reason(found)
     if not found.reason:
-        measured = [one for pair in found.pairs for one in (*_at_load(pair), *_intervals(pair), *_lag(pair))]
+        ways = _at_load, _absent, _intervals, _lag
+        measured = [one for way in ways for pair in found.pairs for one in way(pair)]
         found.compared += [(one.controller, one.title) for one in measured]
+        ones = [pair.sides[0] for pair in found.pairs]
+        wanted = {(one.controller, one.title_of(name)) for one in ones for name, _ in dependent(one)}
+        if left := sorted(f"{title} of {who}" for who, title in wanted - set(found.compared)):
+            found.notes.append(f"not compared, with too few numbers or with both signs: {', '.join(left)}")
         is_many = min(len(run.flights) for run in found.runs) >= MANY
         found.findings = [*_judged(measured, is_many), *_events(found), *_interface(found), *_rules(found)]
         found.findings.sort(key=lambda row: (ORDER[row["kind"]], -row["weight"]))
@@ -204,9 +204,13 @@ def _reason(found: Comparison) -> str:
     for pair in leads.values():
         if load := pair.load():
             common, moving = load.common(pair.is_after), load.bins() >= 0
-            shares.append([common[its].sum() / max(moving[its].sum(), 1) for its in (~pair.is_after, pair.is_after)])
+            shares.append([common[its].sum() / moving[its].sum() if moving[its].any() else np.nan
+                           for its in (~pair.is_after, pair.is_after)])  # fmt: skip
+    for run, own in zip(found.runs, zip(*shares, strict=True), strict=False):
+        if np.isnan(own).all():
+            return f"no motor turned in {run.name}, or speed or voltage are reserved"
     if shares:
-        low, high = np.median(shares, axis=0)
+        low, high = np.nanmedian(shares, axis=0)
         both = f"{low:.0%} of BEFORE and {high:.0%} of AFTER are at a speed and voltage that both have"
         if min(low, high) < LEAST_COMMON:
             return f"too few loads in common: {both}; fly the same manoeuvres"
@@ -229,10 +233,22 @@ class _Measured:
     beside: Change | None = None
 
 
+def _absent(pair: Pair) -> Iterator[_Measured]:
+    """Compare how many values are reserved, or of a current 0 while the motor turns, as of a sensor that fails."""
+    one, load = pair.sides[0], pair.load()
+    for name in one.names("value", "A", "V", "RPM", "%", *DEGREES):
+        values = pair.column(name)
+        is_zero = (values == 0) & load.common(pair.is_after) if load and one.unit_of(name) == "A" else ~pair.every
+        absent = 100.0 * (is_zero | ~np.isfinite(values))
+        if absent.any() and (result := pair.change(absent, pair.every)) and not name.endswith("_error"):
+            title, base = f"absent values of {one.title_of(name)}", float(absent[~pair.is_after].mean())
+            yield _Measured(pair.controller, title, "%", "share", result, base, pair.typical(pair.every, absent))
+
+
 def _at_load(pair: Pair) -> Iterator[_Measured]:
     """Compare each value at equal load."""
     one, load = pair.sides[0], pair.load()
-    for name, kind in dependent(one) if one.names("clock") else ():
+    for name, kind in dependent(one):
         values = pair.column(name)
         terms, good = None, np.isfinite(values)
         if load:
@@ -273,9 +289,11 @@ def _intervals(pair: Pair) -> Iterator[_Measured]:
     period = np.where(pair.is_after, periods[1], periods[0])
     good = np.isfinite(gaps) & (gaps < 1.7 * period)
     at = pair.typical(good, gaps)
-    rate = pair.change(-np.log(np.maximum(gaps, 1e-6)), good)
-    if rate:
-        yield _Measured(pair.controller, f"rate of {pair.title}", "Hz", "rate", rate, 1 / periods[0], at)
+    # Of the means, not of logarithms: a larger jitter is no other rate.
+    if longer := pair.change(gaps, good):
+        mean = float(gaps[good & ~pair.is_after].mean())
+        rate = Change(-math.log1p(longer.value / mean), longer.error / (mean + longer.value), longer.freedom)
+        yield _Measured(pair.controller, f"rate of {pair.title}", "Hz", "rate", rate, 1 / mean, at)
     keys, block = np.unique(np.floor(pair.times / BLOCK) * 2 + pair.is_after, return_inverse=True)
     count = np.bincount(block, good)
     spread = np.bincount(block, np.where(good, np.abs(gaps - period), 0.0)) / np.maximum(count, 1)
@@ -295,7 +313,7 @@ def _lag(pair: Pair) -> Iterator[_Measured]:
         result = Change((after - before) * 1e3, math.hypot(first, second) * 1e3, 2 * min(count, many) - 2)
         speed = pair.sides[0].speed() or ("",)
         title = f"response of {pair.sides[0].title_of(speed[0])} to its command"
-        yield _Measured(pair.controller, title, "ms", "lag", result, before * 1e3, pair.begins())
+        yield _Measured(pair.controller, title, "ms", "lag", result, before * 1e3, pair.typical(pair.every, pair.times))
 
 
 def _judged(measured: list[_Measured], is_many: bool) -> Iterator[Record]:
@@ -359,7 +377,7 @@ def _events(found: Comparison) -> Iterator[Record]:
     for side, run in enumerate(found.runs):
         for event in run.events:
             is_raised = event["kind"] == "fault" and event["event"] == "raised"
-            if is_raised or event["kind"] not in OTHER_EVENTS:
+            if is_raised or not EVENTS[event["kind"]].get("is_other"):
                 counts[event["who"], str(event["flag"] or event["kind"])][side].append(event)
     faulty = {who for (who, what), sides in counts.items() if what != "faulted" and (sides[0] + sides[1])[0]["flag"]}
     for who in faulty:  # a state beside the flags
@@ -368,12 +386,12 @@ def _events(found: Comparison) -> Iterator[Record]:
     chance = CHANCE_OF_EVENTS / max(1, len(counts))
     for (who, what), sides in counts.items():
         few, many = (sum(int(event["count"] or 1) for event in side) for side in sides)
-        if what in LOSSES:  # they come in bursts
+        if is_loss := EVENTS[what].get("is_loss"):  # they come in bursts
             few, many = (len({(event["at"]["file"], event["at"]["time"] // BURST) for event in side}) for side in sides)
         is_more = more_often(few, many, share) < chance
         is_less = more_often(many, few, 1 - share) < chance
         kind = "worse" if is_more else "better" if is_less else "changed"
-        if kind == "changed" and (few or what in LOSSES):
+        if kind == "changed" and (few or is_loss):
             continue
         hours = [number / length * 3600 for number, length in zip((few, many), seconds, strict=True)]
         word = "new" if not few else "gone" if not many else "more often" if many > few else "less often"
@@ -389,7 +407,7 @@ def _interface(found: Comparison) -> Iterator[Record]:
     """Compare IDs, sizes and the meanings of enums. A message that grew takes more of the bus."""
     for pair in found.pairs:
         one, other = pair.sides
-        who, at = one.controller, pair.begins()
+        who, at = one.controller, pair.typical(pair.every, pair.times)
         if one.ids != other.ids:
             rows = ([{"bus": bus, "id": ident} for bus, ident in sorted(own.ids, key=str)] for own in pair.sides)
             was, now = (", ".join(map(source_name, own)) for own in rows)
