@@ -10,6 +10,7 @@ import tomllib
 import flights
 import numpy as np
 import pairs
+import pyarrow.parquet as pq
 import pytest
 import yapp_tables as yt
 from running import PLUGIN, TOP, install_plugin
@@ -83,6 +84,11 @@ def test_commands_of_the_comparison(compared, number):
     page = re.search(r"--out (\w+\.html)", COMPARED[number])
     assert not page or "</html>" in (compared / page[1]).read_text()
     assert printed.strip() or "--to parquet" in COMPARED[number]
+    if "--with" in COMPARED[number]:
+        points = pq.read_table(compared / "bench/message=points").to_pylist()
+        known = [row for row in points if row["bench_rpm"] is not None]
+        assert len(known) >= 2
+        assert [row["bench_rpm"] for row in known] == pytest.approx([row["rpm_measured"] for row in known], rel=0.01)
 
 
 def test_recipes_keep_captures_that_name_no_bus(folder, tmp_path):

@@ -6,10 +6,7 @@ import math
 import random
 
 import numpy as np
-import pairs
-import pyarrow.parquet as pq
 import pytest
-from running import PLUGIN, run_tables
 from yapp_tables import steps
 from yapp_tables.errors import CaptureError, SetupError
 from yapp_tables.series import Samples
@@ -126,42 +123,31 @@ def test_what_fits_twice_or_not_at_all_is_refused(tmp_path, changes, cut, said):
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["a,b\n" + "1,2\n" * 30, "time,b\n" + "1,2\n" * 30, "time,rpm\n1,1\n", "time,rpm\n" + "x,1\n" * 30],
-)
-def test_what_is_no_log(tmp_path, text):
+    ("text", "said"),
+    [
+        *((text, "is no log of a bench: it needs 20 rows, a column of time") for text in (
+            "a,b\n" + "1,2\n" * 30, "time,b\n" + "1,2\n" * 30, "time,rpm\n1,1\n", "time,rpm\n" + "x,1\n" * 30)),
+        ("time,rpm\n" + "1,2\n" * 30, "'time' has to rise, to 0 s"),
+        ("time,rpm\n" + "".join(f"{n % 20},2\n" for n in range(30)), "'time' has to rise, to 19 s"),
+        ("time,rpm\n" + "".join(f"{n}000000,2\n" for n in range(30)), "name the unit, as in time_ms"),
+        ("time,rpm,rpm\n" + "1,2,3\n" * 30, "cannot be read: .*2 times"),
+    ],
+)  # fmt: skip
+def test_what_is_no_log(tmp_path, text, said):
     (tmp_path / "bench.csv").write_text(text)
-    with pytest.raises(SetupError, match="is no log of a bench: it needs 20 rows, a column of time"):
+    with pytest.raises(SetupError, match=said):
         steps.read(tmp_path / "bench.csv")
 
 
-def test_a_conversion_has_both_tables_and_prints_the_offset(tmp_path):
-    pairs.write(tmp_path / "run.pcapng", "bench", seconds=60)
-    how = ["--to", "parquet", "--plugin", PLUGIN, *pairs.OPTIONS]
-    run_tables(tmp_path, "convert", "run.pcapng", "--out", "first", *how, code=0)
-    motor = pq.read_table(tmp_path / "first/message=motor").filter(pq_is("fl")).sort_by("time")
-    times = motor["time"].cast("int64").to_numpy() / 1e9
-    with (tmp_path / "bench.csv").open("w") as file:
-        file.write("t,rpm,torque\n")
-        for at in np.arange(times[0] + 2.5, times[-1] - 1, 0.05):
-            rpm = np.interp(at, times, motor["rpm_measured"].to_numpy())
-            file.write(f"{at - times[0] - 2.5:.3f},{rpm:.1f},{rpm / 1000:.4f}\n")
-    done = run_tables(tmp_path, "convert", "run.pcapng", "--out", "data", "--with", "bench.csv", *how)
-    # All four controllers fly the same: which one stood on the bench is not known.
-    assert (done.returncode, "ambiguous" in done.stderr) == (1, True), done.stderr
-    one = ["--filter", 'yapp.source == "fl" || yapp.id == 0']
-    done = run_tables(tmp_path, "convert", "run.pcapng", "--out", "data", "--with", "bench.csv", *how, *one, code=0)
-    assert "bench.csv begins +2.5" in done.stderr, done.stderr
-    points = pq.read_table(tmp_path / "data/message=points").to_pylist()
-    known = [row for row in points if row["bench_torque"] is not None]
-    assert len(known) >= 2
-    for row in known:
-        assert row["bench_torque"] == pytest.approx(row["rpm_measured"] / 1000, rel=0.01)
-    assert pq.read_table(tmp_path / "data/message=steps").num_rows >= 2
-
-
-def pq_is(name):
-    """An expression: rows of this controller."""
-    import pyarrow.compute as pc
-
-    return pc.field("source") == name
+@pytest.mark.parametrize(
+    ("time", "unit", "mark"),
+    [("t_ms", 1000, ";"), ("Zeit", 1, "\t"), ("time [min]", 1 / 60, ","), ("t (µs)", 1e6, ";")],
+)
+def test_a_log_has_its_own_units_and_commas(tmp_path, time, unit, mark):
+    rows = [mark.join([f"{number * 0.05 * unit:.6f}", f"{number}.5", "20.25"]) for number in range(40)]
+    text = "\n".join([mark.join([time, "rpm", "°C"]), *rows])
+    (tmp_path / "bench.csv").write_text(text if mark == "," else text.replace(".", ","), encoding="latin-1")
+    times, speed, columns = steps.read(tmp_path / "bench.csv")
+    assert times == pytest.approx(np.arange(40) * 0.05, abs=1e-4)
+    assert speed == pytest.approx(np.arange(40) + 0.5)
+    assert set(columns["bench_c"]) == {20.25}

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Steps and operating points of a flight, and the log of a thrust stand beside it.
-
-How a controller answers a change of its command, and what a hold costs. Both speeds align the log.
-"""
+"""How a controller answers a change of its command, what a hold costs, and the log of a thrust stand beside both."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -159,7 +156,9 @@ def point_columns(messages: Mapping[str, pa.Schema]) -> Iterator[Record]:
 GRID = 0.05  # seconds of the grid on which speeds are compared
 LEAST, BETWEEN, SECOND = 0.9, 2.0, 0.97  # correlation; seconds between two offsets; of the best correlation
 LEAST_SECONDS, LEAST_ROWS = 5.0, 20
-UNITS = {r"\bms\b|milli": 1e3, r"\b[uµ]s\b|micro": 1e6}  # of a second, in the name of the column of time
+# Of a second, in the name of the column of time.
+UNITS = {r"(\b|_)ms\b|milli": 1e3, r"(\b|_)[uµ]s\b|micro": 1e6, r"(\b|_)min": 1 / 60}
+LONGEST = 86400.0  # seconds of a log
 
 
 @dataclass(frozen=True)
@@ -177,15 +176,20 @@ def read(path: Path) -> tuple[Array, Array, dict[str, Array]]:
     """Return times in seconds from the first row, speeds, and all columns of numbers, of a CSV. Raises SetupError."""
     try:
         with path.open("rb") as file:
-            sample = file.read(4096)
-        mark = ";" if sample.count(b";") > sample.count(b",") else ","
-        table = csv.read_csv(path, parse_options=csv.ParseOptions(delimiter=mark, invalid_row_handler=lambda _: "skip"))
-    except (OSError, pa.ArrowInvalid) as error:
+            head, sample = file.readline(), file.read(4096)
+        mark = max(",;\t", key=lambda mark: head.count(mark.encode()))
+        table = csv.read_csv(
+            path,
+            csv.ReadOptions(encoding="latin-1" if "\ufffd" in head.decode(errors="replace") else "utf-8"),
+            csv.ParseOptions(delimiter=mark, invalid_row_handler=lambda _: "skip"),
+            csv.ConvertOptions(decimal_point="," if mark != "," and re.search(rb"\d,\d", sample) else "."),
+        )
+        names = table.schema.names
+        columns = {each.name: numbers(table[each.name]) for each in table.schema
+                   if pa.types.is_integer(each.type) or pa.types.is_floating(each.type)}  # fmt: skip
+    except (OSError, ValueError, KeyError) as error:
         raise SetupError(f"{path} cannot be read: {error}") from error
-    names = table.schema.names
-    columns = {each.name: numbers(table[each.name]) for each in table.schema
-               if pa.types.is_integer(each.type) or pa.types.is_floating(each.type)}  # fmt: skip
-    time = next((name for name in names if re.match(r"\s*(time|t|timestamp)\b|.*_time\b", name, re.I)), "")
+    time = next((name for name in names if re.match(r"\s*(time|t|timestamp|zeit)(\b|_)|.*_time\b", name, re.I)), "")
     speed = next((name for name in columns if re.search(r"rpm|speed|drehzahl", name, re.I)), "")
     if time in columns:
         times = columns.pop(time) / next((unit for word, unit in UNITS.items() if re.search(word, time, re.I)), 1)
@@ -196,7 +200,10 @@ def read(path: Path) -> tuple[Array, Array, dict[str, Array]]:
     if not speed or len(times) < LEAST_ROWS:
         needs = f"{LEAST_ROWS} rows, a column of time (s, ms, ISO 8601), and one of speed (rpm), all numbers"
         raise SetupError(f"{path} is no log of a bench: it needs {needs}; it has {len(table)} rows of {names}")
-    order = np.argsort(times, kind="stable")[: np.isfinite(times).sum()]
+    order = np.flatnonzero(np.isfinite(times))
+    long = float(np.ptp(times[order])) if len(order) else 0.0
+    if not 0 < long <= LONGEST or (np.diff(times[order]) < 0).any():
+        raise SetupError(f"{path}: {time!r} has to rise, to {long:g} s: cut the log, or name the unit, as in time_ms")
     plain = {name: re.sub(r"[^0-9a-zA-Z]+", "_", name).strip("_").lower() for name in columns}
     kept = {f"bench_{plain[name]}": values[order] for name, values in columns.items()}
     return times[order] - times[order[0]], columns[speed][order], kept
