@@ -86,6 +86,10 @@ def test_four_flights_say_nothing(data, tmp_path):
 def test_what_is_no_data_set(tmp_path):
     done = run_tables(tmp_path, "trend", ".")
     assert (done.returncode, "no data set of Parquet files: yapp-tables convert" in done.stderr) == (2, True)
+    (tmp_path / "message=flights").mkdir()
+    (tmp_path / "message=flights/one.parquet").write_text("damaged")
+    done = run_tables(tmp_path, "trend", ".")
+    assert (done.returncode, "one.parquet is damaged: remove it" in done.stderr) == (2, True), done.stderr
 
 
 if __name__ == "__main__":

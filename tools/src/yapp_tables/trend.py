@@ -70,7 +70,7 @@ def _flights(data: Path) -> Iterator[tuple[str, dict[tuple[str, str], Samples], 
     """Yield name, messages and summary of one flight after the other, in the order of time."""
     flights = []
     for path in data.glob("message=flights/*.parquet"):
-        row = pq.read_table(path, partitioning=None)
+        row = _read(path)
         version = said(row.schema.metadata).get("schema", "")
         if version != str(SCHEMA):
             raise SetupError(f"{data} has version {version} of the tables, not {SCHEMA}: convert the captures again")
@@ -80,9 +80,16 @@ def _flights(data: Path) -> Iterator[tuple[str, dict[tuple[str, str], Samples], 
         raise SetupError(f"{data} is no data set of Parquet files: {again}")
     for start, name, file in progress(sorted(flights), unit=" flights"):
         paths = [folder / file for folder in data.glob("message=*") if (folder / file).is_file()]
-        tables = {path.parent.name.removeprefix("message="): pq.read_table(path, partitioning=None) for path in paths}
+        tables = {path.parent.name.removeprefix("message="): _read(path) for path in paths}
         messages = {message: rows for message, rows in tables.items() if is_message(rows) and len(rows)}
-        yield name, samples(messages, start=start), tables["summary"].to_pylist()
+        yield name, samples(messages, start=start), _read(data / "message=summary" / file).to_pylist()
+
+
+def _read(path: Path) -> pa.Table:
+    try:
+        return pq.read_table(path, partitioning=None)
+    except (OSError, pa.ArrowInvalid) as error:
+        raise SetupError(f"{path} is damaged: remove it, and convert its capture again ({error})") from error
 
 
 def _at_load(one: Samples, load: Load) -> Iterator[tuple[Key, Array, Array]]:
