@@ -755,6 +755,7 @@ function T.test_what_an_answer_leaves_out()
   good[3] = record(3, 1)
   lu.assertEquals(lines(run({ "summary" }, good))[2],
     step:format("2 times") .. ", and who is silent at the end is not known")
+  lu.assertEquals(verdicts("silence=0,motor.gap=9", good)[3], "motor.gap=9 left null 0 3")
 end
 
 function T.test_messages_that_are_not_dissected()
@@ -950,6 +951,8 @@ function T.test_the_clock_of_the_capture()
   local dead = { record(1, 100), record(2, 100.1), record(3, 50, { source = ODD, fits = false }) }
   lu.assertEquals(found("events,json", "silence", dead, with), { '{"kind":"silence",,"length":30.000000000}' })
   lu.assertEquals(verdicts("motor.gap=1", dead, with)[1], "motor.gap=1 left false 30 2")
+  for frame = 3, 6 do dead[frame] = record(frame, 100 + frame % 2 / 50, { source = ODD, fits = false }) end -- in turns
+  lu.assertEquals(verdicts("motor.gap=1", dead, { unfinished = {}, last = 130 })[1], "motor.gap=1 left false 29.82 2")
   lu.assertEquals(select(2, verdicts("", { record(1, 0.5), record(2, 0.4991) }, { last = 0.5 })), 0) -- interfaces take turns
 end
 

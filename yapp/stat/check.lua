@@ -53,6 +53,7 @@ M.FAILED = FAILED
 
 local TOO_FEW = "too few good messages, values that are not reserved, or other sources: see " ..
   "yapp.sources and the preferences of IDs"
+local END_UNKNOWN = "time stamps went back several times: who is silent at the end is not known"
 local CLOSE = 5 -- percent of the range: what held by less is marked
 
 -- Judging -----------------------------------------------------------------------------------------
@@ -99,6 +100,7 @@ local function reason_of(rule, group, ending, verdict, is_final)
   if rule.needs_time and ending.lacks_times then return ending.lacks_times end
   if ending.unread and not is_final then return ending.unread end
   if verdict == FAILED then return nil end
+  if rule.kind.sees_end and ending.hides_end then return END_UNKNOWN end
   if rule.kind.needs_past and group.is_unreliable then
     return "what came before its messages is not known: see -z yapp,events"
   end

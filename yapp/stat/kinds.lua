@@ -26,6 +26,7 @@ local NEAR = 1 -- seconds
 --             such events; nil: one for each source that can have them
 -- about       key that the message type of a source must have; nil for any source with an ID
 -- needs_time  true if it can be judged only if packets have time stamps
+-- sees_end    true if it counts the time to the capture's end
 -- can_mend    true if more packets may mend a rule that failed
 M.LIST = input.rows("name text", {
   {
@@ -83,6 +84,7 @@ M.LIST = input.rows("name text", {
     keys = "length",
     about = "every",
     needs_time = true,
+    sees_end = true,
   },
   {
     "invalid",

@@ -128,7 +128,7 @@ end
 -- measure  see above; or value = function(series of stat.judge) -> what it is, and
 --          add = function(series, number), where the series must gather more; nil for none
 -- is_count true if it has no margin
--- needs_past, needs_time, can_mend, scope  as in rows of kinds
+-- needs_past, needs_time, sees_end, can_mend, scope  as in rows of kinds
 
 --- MESSAGE.NAME=LIMIT
 M.OF_MESSAGE = input.rows("name text help", {
@@ -158,6 +158,7 @@ M.OF_MESSAGE = input.rows("name text help", {
     measure = measure_gap,
     needs_past = true,
     needs_time = true,
+    sees_end = true,
   },
 })
 

@@ -16,6 +16,7 @@ local output = require "yapp.stat.output"
 local M = {}
 
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
+local MAX_TURN = 1 -- the same of the stamps of recorders in turns, if the end is to be judged
 local UNDISSECTED = "no YAPP message found; %s not dissected: see yapp.motor_ids, yapp.all_extended"
 local NO_PACKETS = "no YAPP message found: the capture has no packets, or -R removed all of them"
 local NOTHING_FOUND = "no YAPP message found in %s: see yapp.user_dlt, " ..
@@ -62,6 +63,7 @@ function Run:reset()
   self.has_progress = false -- true if it differs from the packet's before
   -- How often the capture's clock went back, and the latest packet behind that:
   self.steps, self.step = 0, { number = 0, time = 0 }
+  self.turn = 0 -- the largest of these steps; 0 for the clocks of controllers
 end
 
 --- Add a statistic, see stat.answer.
@@ -126,7 +128,10 @@ function Run:packet(number, rel, has_clock)
     self.has_progress = true
     if last - rel > MAX_STEP then
       self.steps, self.step = self.steps + 1, { number = number, time = rel }
-      if has_clock() then count_step(self, number, rel, -kinds.span(rel, last)) end
+      if has_clock() then
+        self.turn = math.max(self.turn, last - rel)
+        count_step(self, number, rel, -kinds.span(rel, last))
+      end
     end
   end
   local event = number == self.number and self.offered[1]
@@ -172,14 +177,19 @@ local function describe(self, ending)
   ending.length = stamps:even(last, self.packets) -- seconds from the first packet to it
   ending.lacks_times = lacks_times -- why times mean nothing, or nil
   ending.are_coarse = lacks_times == COARSE_TIMES -- then messages recorded twice are still found
+  ending.hides_end = self.steps > 1 and self.turn > MAX_TURN -- see length_since
   -- Why no message was found, nil if one was:
   ending.reason = explain_nothing_found(self, ending.extended)
   -- Return how many seconds from a message to the end.  Behind a step back of the clock, a lower
-  -- bound: from there on.  Behind several, the stamps of recorders may alternate: nothing tells.
+  -- bound: from there on.  Behind several, the stamps of recorders may alternate.
   function ending.length_since(event)
-    if lacks_times or self.steps > 1 then return 0 end
-    local from = event.at
-    if event.frame < step.number then from = stamps:even(step.time, step.number) end
+    local are_several, from = self.steps > 1, event.at
+    if lacks_times or are_several and self.turn == 0 then return 0 end
+    if are_several then
+      from = from + self.turn
+    elseif event.frame < step.number then
+      from = stamps:even(step.time, step.number)
+    end
     return kinds.span(from, ending.length)
   end
   return ending
