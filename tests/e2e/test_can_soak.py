@@ -33,7 +33,7 @@ KNOWN_LATER = {"fragment.duplicate"}  # of a Middle: when the message ends
 
 TAURUS = [name for name in model.filters() if name.count(".") > 1]  # the values
 FIELDS = ["frame.number", "yapp.id", "yapp.can.ctrl", "yapp.crc.status", "yapp.reassembled.in", "yapp.fragment", "yapp.padding",
-          "yapp.payload", "yapp.undecoded", *(f"yapp.{name}" for name in EXPERTS), *TAURUS]
+          "yapp.fragment.data", "yapp.payload", "yapp.undecoded", *(f"yapp.{name}" for name in EXPERTS), *TAURUS]
 
 
 def key(frame):
@@ -82,6 +82,8 @@ class Comparison:
         self.expect(number, "CRC status", "" if verdict.status is None else str(verdict.status),
                     shown if shown != "2" or verdict.status is not None else "")
         self.numbers(number, verdict, row)
+        if verdict.ctrl == 2:
+            self.expect(number, "fragment data", frame.kept.hex(), row["yapp.fragment.data"])
         if verdict.payload is not None and frame.captured is None and verdict.status != 2:
             self.expect(number, "padding", verdict.padding, len(row["yapp.padding"]) // 2)
             self.payload(number, verdict.payload, row, is_good=verdict.status != 0)

@@ -347,7 +347,8 @@ def test_situation(name):
 def segment(packet, ports=None, head=b""):
     """A TCP segment of a packet, in IPv6, in a tunnel or whatever its `head` is: bytes, or what makes them of the segment."""
     ports = ports or (50000, 20001)
-    data = struct.pack(">HHIIHHHH", *ports, packet.sequence, packet.acknowledged, 0x5018, 65535, 0, 0) + packet.data
+    flags = getattr(packet, "flags", 0x5018)
+    data = struct.pack(">HHIIHHHH", *ports, packet.sequence, packet.acknowledged, flags, 65535, 0, 0) + packet.data
     return head(data) if callable(head) else head + data
 
 
@@ -368,14 +369,15 @@ NETWORKS = {
 
 
 def test_connections_in_other_networks(folder):
-    """Late and repeated segments; and what an ICMP error quotes of them."""
-    a, b, c, d = (frame(0x210, bytes([number]) * 32, seq=number) for number in range(4))
-    rows = [(0, 1, a), (.1, 97, c), (.2, 49, b), (.3, 49, b), (.4, 145, d)]
+    """Late and repeated segments, a lost one in front of the end; and what an ICMP error quotes of them."""
+    a, b, c, d, e = (frame(0x210, bytes([number]) * 32, seq=number) for number in range(5))
+    rows = [(0, 1, a), (.1, 97, c), (.2, 49, b), (.3, 49, b), (.4, 145, d), (.5, 241, e)]
     for name, network in NETWORKS.items():
         packets = []
         for seconds, sequence, data in rows:
             packets.append(Packet(data, Origin(ETHERNET, 0, 0)))
             packets[-1].sequence, packets[-1].time = sequence, stream_captures.EPOCH + round(seconds * 1e6)
+        packets[-1].flags = 0x5019
         quote = Packet(b"", Origin(ETHERNET, 0, 1))
         quote.time, quote.link = packets[-1].time + 1, lambda _, sent=packets[2]: bytes(12) + b"\x08\0" + ipv4(
             bytes([3, 3, 0, 0, 0, 0, 0, 0]) + ipv4(segment(sent))[:48], 1)
@@ -385,7 +387,7 @@ def test_connections_in_other_networks(folder):
         for passes in SOME_PASSES[:1] if name == "VLAN" else SOME_PASSES:
             found = shown(folder / "tcp.pcapng", *passes)
             assert {number: row["yapp.seq"] for number, row in found.items() if "yapp.seq" in row} == \
-                {1: ["0"], 3: ["1", "2"], 5: ["3"]}, name
+                {1: ["0"], 3: ["1", "2"], 5: ["3"], 6: ["4"]}, name
 
 
 def test_yapp_behind_64_kb_of_other_datagrams(folder):
@@ -410,13 +412,14 @@ def test_icmp_quotes_datagrams(arguments, folder):
     packets = [Packet(ONE, Origin(ETHERNET, 0, 0)) for _ in range(5)]
     for number, packet in enumerate(packets):
         packet.number, packet.time = number + 1, stream_captures.EPOCH + number * 15000
-    links = {1: quote, 3: lambda packet: quote(packet, 20)}
+    links = {0: quote, 2: quote, 3: lambda packet: quote(packet, 20)}
     stream_captures.Capture("", packets, lambda packet: links.get(packet.number - 1, stream_captures.udp)(packet),
                             arguments).write(folder / "icmp.pcapng")
     for passes in SOME_PASSES:
         found = shown(folder / "icmp.pcapng", *passes, *arguments)
-        assert [number for number, row in found.items() if "yapp" in row] == [1, 3, 5]
-        assert [found[number].get("yapp.time_delta") for number in (1, 3, 5)] == [None] + [["0.030000000"]] * 2
+        assert [number for number, row in found.items() if "yapp" in row] == [2, 5]
+        assert [found[number].get("yapp.time_delta") for number in (2, 5)] == [None, ["0.045000000"]]
+    assert tshark.fields(folder / "icmp.pcapng", ["frame.protocols"], *arguments)[0][0].endswith(":udp:data")
 
 
 LINKS = {"frame.number", "info", "yapp.fragment", "yapp.reassembled.in", INFO}
