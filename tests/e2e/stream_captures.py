@@ -13,6 +13,7 @@ import model
 from crc32k import crc32k
 
 KNOWN = {ident: model.MESSAGES[ident].size for ident in sorted(model.MESSAGES)}  # payload sizes
+LEAST = {ident: model.MESSAGES[ident].least for ident in KNOWN}
 HEADER, CRC = 12, 4
 # The largest frame that a stream waits for, with good frames inside of it; and the same if its header is not plausible.
 PATIENCE, NOISE_PATIENCE = 4096, 128
@@ -182,7 +183,7 @@ def believed(data, at):
     """What a header says: "known", a message of the catalogue with its size; "unknown", an ID of the document's that is none
     of them; "", anything else: then only a good CRC counts."""
     ident, size, reserved = struct.unpack("<IHH", data[at + 4:at + HEADER])
-    if reserved or ident > 0x7FF or KNOWN.get(ident, size) != size:
+    if reserved or ident > 0x7FF or not LEAST.get(ident, size) <= size <= KNOWN.get(ident, size):
         return ""
     return "known" if ident in KNOWN else "unknown"
 

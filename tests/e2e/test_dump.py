@@ -19,7 +19,7 @@ import stream_captures
 import test_streams
 import tshark
 from other_reader import OTHER_READER
-from stream_captures import EXPORTED_PDU, KNOWN, Event, Oracle, Origin, Packet, frame, header
+from stream_captures import EXPORTED_PDU, KNOWN, LEAST, Event, Oracle, Origin, Packet, frame, header
 
 CAPTURES = tshark.CAPTURES
 SEED = os.environ.get("YAPP_SEED", "1")
@@ -38,7 +38,7 @@ TIMES = {ident: sum(size for _, size, _ in itertools.takewhile(lambda row: row[2
 
 def stamp(event):
     """The controller's own time in nanoseconds, a double: exact up to 2^53, 104 days.  None without one."""
-    if event.kind != "good" or event.ident not in TIMES or len(event.payload) < KNOWN[event.ident]:
+    if event.kind != "good" or event.ident not in TIMES or len(event.payload) < LEAST[event.ident]:
         return None
     at = TIMES[event.ident]
     nanoseconds = struct.unpack("<q", event.payload[at:at + 8])[0]

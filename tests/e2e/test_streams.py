@@ -68,8 +68,9 @@ def counted(data):
 
 
 def fits(event):
-    """Whether the header says the size that the catalogue has for its ID."""
-    return stream_captures.KNOWN.get(event.ident) == int.from_bytes(event.data[8:10], "little")
+    """Whether the header says a size that the catalogue has for its ID."""
+    size = int.from_bytes(event.data[8:10], "little")
+    return event.ident in stream_captures.KNOWN and stream_captures.LEAST[event.ident] <= size <= stream_captures.KNOWN[event.ident]
 
 
 def is_longer(event):

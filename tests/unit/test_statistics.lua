@@ -1060,7 +1060,7 @@ end
 function T.test_the_names_of_the_statistics()
   local names = {}
   for i, row in ipairs(options_of.LIST) do names[i] = row.name end
-  lu.assertEquals(require("yapp.stat.names"), names)
+  lu.assertEquals(require("yapp.stat.names"), names, "yapp/stat/names.lua")
   lu.assertEquals({ names[#names], #options_of.MENUS }, { "watch", #names - 1 }) -- in tshark alone
 end
 

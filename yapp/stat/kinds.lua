@@ -4,7 +4,8 @@
 -- Pure Lua, 5.2 to 5.5.
 --
 -- A new kind is a row here and the code that makes its events.  Of a row with `change`, stat.events
--- makes them: if a change of message.history has the row's name.
+-- makes them: if a change of message.history has the row's name.  A window shows each event; of
+-- kinds that may come often, MERGED in stat.lists, it shows one line.
 
 local input = require "yapp.base.input"
 
