@@ -156,8 +156,7 @@ def point_columns(messages: Mapping[str, pa.Schema]) -> Iterator[Record]:
 GRID = 0.05  # seconds of the grid on which speeds are compared
 LEAST, BETWEEN, SECOND = 0.9, 2.0, 0.97  # correlation; seconds between two offsets; of the best correlation
 LEAST_SECONDS, LEAST_ROWS = 5.0, 20
-# Of a second, in the name of the column of time.
-UNITS = {r"(\b|_)ms\b|milli": 1e3, r"(\b|_)[uµ]s\b|micro": 1e6, r"(\b|_)min": 1 / 60}
+UNITS = {r"(\b|_)ms\b|milli": 1e3, r"(\b|_)[uµ]s\b|micro": 1e6, r"(\b|_)min": 1 / 60}  # of a second
 LONGEST = 86400.0  # seconds of a log
 
 
