@@ -56,6 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = int(given.run(given) or 0)
         sys.stdout.flush()
         return code
+    except BrokenPipeError:  # as before "| head -1": nobody reads on
+        return FAILED
     except YappError as error:
         _say([str(error)])
         return REFUSED if isinstance(error, SetupError) else FAILED

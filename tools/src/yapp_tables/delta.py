@@ -44,12 +44,8 @@ def write_delta(tables: Tables, _: Path, url: str, flight: str) -> None:
 
 def delete(url: str, flight: str, messages: Iterable[str]) -> None:
     """Remove the rows of a flight."""
-    for name in messages:
-        _again(partial(_delete, f"{url}/message={name}", flight))
-
-
-def _delete(url: str, flight: str) -> None:
-    DeltaTable(url).delete(f"flight_id = '{flight}'")
+    for place in (f"{url}/message={name}" for name in messages):
+        _again(lambda place=place: DeltaTable(place).delete(f"flight_id = '{flight}'"))  # type: ignore[misc]
 
 
 def _again(work: Callable[[], object]) -> None:

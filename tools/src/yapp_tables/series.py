@@ -125,7 +125,8 @@ def samples(tables: Mapping[str, pa.Table], number: int = 0, start: int = 0) -> 
         # A message without a clock of the controller, such as a command, may be for all of a bus: it is its own.
         is_own = any(known.get("role") == "clock" for known in about.values())
         title = whole.get("title", message)
-        for name, rows in split(table):
+        kept = [name for name in table.schema.names if about[name].get("role") not in ("flag", "flags")]
+        for name, rows in split(table.select(kept)):
             rows = rows.sort_by("time")
             times = (rows["time"].cast(pa.int64()).to_numpy() - start) / 1e9
             every = float(whole.get("every") or 0) or (float(np.median(np.diff(times))) if len(times) > 1 else 1.0)
