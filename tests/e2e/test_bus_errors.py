@@ -166,10 +166,10 @@ def test_asc(folder):
 @pytest.mark.parametrize("order, arguments", [(">", []), ("<", ["-o", "can.byte_swap:TRUE"])])  # a preference of Wireshark's
 @pytest.mark.parametrize("flag", [0, EXTENDED, REMOTE, EXTENDED | REMOTE])
 def test_records_of_other_recorders(folder, flag, order, arguments):
-    """Also an error frame with the flag of an extended or of a remote frame is one."""
+    """Also an error frame with the flag of an extended or of a remote frame is one, and has a time where no packet follows."""
     frame = error(0, 0, "off")
     (folder / "run.pcap").write_bytes(capture_file.pcap(capture_file.SOCKETCAN, [(BEGIN, record(frame._replace(can_id=frame.can_id | flag), order))]))
-    assert on_buses(said(folder / "run.pcap", *arguments)) == [(None, "off", 1)]
+    assert [(row["kind"], row["what"], row["time"]) for row in said(folder / "run.pcap", *arguments)] == [("bus", "off", BEGIN / 10**6)]
 
 
 @pytest.mark.parametrize("link", [1, 147])  # Ethernet, DLT_USER
