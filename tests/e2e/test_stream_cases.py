@@ -322,11 +322,11 @@ def test_a_first_message_that_another_protocol_takes_is_no_all_clear(folder, pas
 
 
 def test_a_serial_interface_beside_ethernet_is_no_all_clear(folder):
-    """Nobody said that its link type carries YAPP."""
-    for data, code in (flight()[0][1], 21), (b"other bytes", 0):
+    """Nobody said that its link type carries YAPP.  A packet of it may have one byte."""
+    for data, length, code in (flight()[0][1], 48, 21), (flight()[0][1], 1, 21), (b"other bytes", 5, 0):
         packets = with_ports("udp", [(40000, 14550)], fault=None)
-        uart = Packet(data, Origin(stream_captures.USER0, 1, 0))
-        path = written(folder, [*packets, (3, uart)],
+        uart = [(3 + at, Packet(data[at:at + length], Origin(stream_captures.USER0, 1, 0))) for at in range(0, len(data), length)]
+        path = written(folder, [*packets, *uart],
                        lambda packet: packet.data if packet.origin.linktype == stream_captures.USER0 else ported(packet))
         done = tshark.run("-q", "-r", path, "-z", "yapp,faults", check=False)
         assert done.returncode == code and ("try -o yapp.user_dlt:147" in done.stderr) == (code == 21)

@@ -178,7 +178,8 @@ function T.test_options_of_serial_lines()
     ["-d rtacser.data,yapp_serial"] = { RTAC },
     ["-o yapp.user_dlt:162"] = { ETHERNET, 162, RTAC },
   } do
-    for bytes, has_frame in pairs { x = false, [FRAME] = linktypes[1] == 147 } do
+    local is_serial = linktypes[1] == 147 or linktypes[1] == RTAC
+    for bytes, has_frame in pairs { x = false, [FRAME] = is_serial } do
       local found = read(pcapng(linktypes, { { 0, bytes } }, le))
       lu.assertEquals({ found:serial_option() or "", found.has_serial_frames }, { wanted, has_frame })
     end

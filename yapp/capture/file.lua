@@ -160,6 +160,7 @@ local function new_interface(number, linktype, name)
     per_second = 1e6, -- time units
     shift = 0, -- seconds to add to its times
     buses = {}, -- by index
+    latest = "", -- of a serial line: the latest bytes, which may begin a header
     accounted = 0, -- dropped packets that are among the drops
   }
 end
@@ -256,8 +257,10 @@ local function read_packet(self, window, offset, length, number)
     options = read_options(window, data + captured + -captured % 4, offset + length - 4)
     add_drops(self, interface, window:value(options[4]), seconds, self.count)
   end
-  if is_serial and not self.has_serial_frames then
-    self.has_serial_frames = has_header(window:bytes(data, length))
+  local link = interface.link
+  if link and link.option and not self.has_serial_frames then
+    local bytes = interface.latest .. window:bytes(data, captured)
+    self.has_serial_frames, interface.latest = has_header(bytes), sub(bytes, 1 - frame.HEADER)
   end
   keep_packet(self, window, interface, data, window:value(options[2]), seconds)
 end
@@ -408,7 +411,7 @@ function File.read(head, more, reads_all)
     first = nil, -- { seconds, nanoseconds } since 1970 of the first packet; nil if not known
     lacks_times = false, -- true if packets have no time stamps
     stamps_differ = false, -- true if two of the packets that were read have different ones
-    has_serial_frames = false, -- true if a packet of a serial line in pcapng may have a frame
+    has_serial_frames = false, -- true if packets of a serial line in pcapng may have a frame
   }, File)
   local window = setmetatable({ text = head, start = 0, stop = #head, is_little = true }, Window)
   function window.more(skip, count)
