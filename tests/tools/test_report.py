@@ -382,7 +382,7 @@ def test_the_first_lines_name_who_what_and_when(eight_browser, eight):
     ), m6
     assert re.match(r"M8 \(can1\): \w+ Temperature \d+ °C at the end, \d+ above the others", m8), m8
     assert re.search(r"; above 80 °C for 1 min [\d.]+ s from 3:4", m8), m8
-    assert re.search(r"; also Motor Temperature \d+ °C hotter", m8), m8
+    assert re.search(r"; also Motor Temperature \d+ °C hotter \(200 °C \d min \d+ s later\)", m8), m8
 
 
 def test_the_matrix_shades_who_is_far_from_the_others(eight_browser):

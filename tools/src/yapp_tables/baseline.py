@@ -151,10 +151,7 @@ def _summed(flights: Sequence[Good], columns: Mapping[str, Record]) -> Iterator[
 
 
 def _shown(flights: Sequence[Good]) -> Iterator[Finding]:
-    """Yield what the values of good flights show, where they differ at all: ranges say the rest.
-
-    Of all controllers together where one of a message has no name.
-    """
+    """Yield what the values of good flights show, where they differ at all: ranges say the rest."""
     every = [(source, name, one) for name, _, own in flights for source, one in own]
     nameless = {one.message for source, _, one in every if not source}
     found: dict[tuple[str, str], list[tuple[str, Samples]]] = defaultdict(list)

@@ -39,8 +39,7 @@ def run() -> NoReturn:
     gc.set_threshold(100_000)  # imports leave no garbage
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _stop)
-    code = main()
-    os._exit(code)  # numpy and Arrow need not be taken apart
+    os._exit(main())  # numpy and Arrow need not be taken apart
 
 
 def _stop(number: int, _: object) -> NoReturn:

@@ -242,7 +242,7 @@ class Limits:
 
 
 def beyond(one: Samples, name: str, limits: tuple[float, float]) -> list[Record]:
-    """Say when a value was outside its limits first and last, how far at most, and for how long."""
+    """Say when a value was outside its limits, how far and how long; or when it would be, by its last minute."""
     found, values = [], one.columns[name]
     for word, limit, sign in zip(("below", "above"), limits, (-1, 1), strict=True):
         out = sign * values > sign * limit
@@ -250,5 +250,12 @@ def beyond(one: Samples, name: str, limits: tuple[float, float]) -> list[Record]
             span = {"at": float(one.times[out][0]), "end": float(one.times[out][-1] + one.every)}
             how = {"kind": "limit", "limit": limit, "word": word, "seconds": float(out.sum() * one.every)}
             found.append(span | how | {"value": sign * float(np.nanmax(sign * values))})
+    use = np.isfinite(values) & one.flying  # only in flight it goes on to rise
+    use &= one.times > one.times[use].max(initial=-np.inf) - 60
+    if not found and np.isfinite(limits[1]) and use.sum() > 2 and np.ptp(one.times[use]) >= 30:
+        begin, end = map(float, one.times[use][[0, -1]])
+        rate, value = map(float, np.polyfit(one.times[use] - end, values[use], 1))
+        if rate >= 1 / 60 and 0 < (left := (limits[1] - value) / rate) < 600:
+            found.append({"kind": "left", "at": begin, "end": end, "limit": limits[1], "seconds": left, "value": value})
     about = {"source": one.name, "field": name, "title": one.title_of(name), "unit": one.unit_of(name)}
     return [about | row | {"is_supply": name in (one.supply() or ())} for row in found]

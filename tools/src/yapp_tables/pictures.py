@@ -108,7 +108,7 @@ class Pictures:
             for told in both & figures.keys() - {name}:
                 figure["lines"] = [asked | {"dash": "dash"} for asked in figures[told]["lines"]] + figure["lines"]
                 self.figures.remove(figures[told])
-            odd = {row["source"] for row in self.differs if row["field"] in both}
+            odd = {row["source"] for row in self.differs if row["field"] in both and row["kind"] != "left"}
             figure["odd"] = sorted({self.sources[one.number]["controller"] for one in found if one.name in odd})
 
     def _cloud(self, found: Found) -> None:

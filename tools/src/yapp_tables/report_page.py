@@ -70,10 +70,7 @@ def _least_margin(capture: Path, rules: Path, tshark: Tshark) -> str:
 
 
 def cards(capture: Path, tshark: Tshark, numbers: Iterable[int]) -> tuple[list[Record], list[str]]:
-    """Return the cards of these faults, from 1, as -z yapp,fault tells them, and what the plugin says of them.
-
-    A card has its `text`: what changed before the fault, and what else happened.
-    """
+    """Return the cards of these faults, from 1, with `text` as of -z yapp,fault; and what the plugin says of them."""
     wanted = [f"fault,{number}{form}" for number in numbers for form in (",json", "")]
     rows, said, text = tshark.ask(capture, wanted)
     texts = re.split("(?m)^(?=YAPP fault: )", text)[1:]
@@ -81,10 +78,7 @@ def cards(capture: Path, tshark: Tshark, numbers: Iterable[int]) -> tuple[list[R
 
 
 def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Record] = (), margin: str = "") -> None:
-    """Write the page of a flight to path; told: the cards of its faults; margin: the least one. Raises SetupError.
-
-    Seconds count from the flight's first packet, as in Wireshark.
-    """
+    """Write the page of a flight to path. told: the cards of its faults; margin: the least one. Raises SetupError."""
     start, pictures = flight.start(), Pictures(limits)
     length = max(pc.max(rows["time"]).value - start for rows in flight.values()) / 1e9
     events = events_of(flight.events, flight.messages, start)

@@ -24,8 +24,6 @@ CHANCE = 0.02  # that one of all slopes is called a drift by chance
 # The least drift over all flights that counts: relative, in the unit, in seconds, a share.
 LEAST = {"A": 0.02, "°C": 2.0, "%": 3.0, "lag": 0.02, "sag": 0.02, "lost": 0.002}
 Key = tuple[str, str, str, str]  # controller, title, unit, key of LEAST
-
-
 # The values of all controllers, what drifts first, each as a JSON line has it; sentences on what is not told.
 Trend = tuple[list[Record], list[str]]
 

@@ -18,10 +18,15 @@ ABOUT = "<span><span class=pale>{}</span> {}</span>"
 SHARE = 0.8  # of a flight, and more, is throughout
 
 
-def duration(seconds: float) -> str:
+def duration(seconds: float, digits: int = 3) -> str:
     """Return `0.450 s`, `40.504 s`, `2 min 24.000 s`."""
-    minutes, rest = divmod(round(seconds * 1000), 60_000)
-    return f"{minutes} min " * bool(minutes) + f"{rest / 1000:.3f} s"
+    minutes, rest = divmod(round(seconds, digits), 60)
+    return f"{minutes:.0f} min " * bool(minutes) + f"{rest:.{digits}f} s"
+
+
+def about(seconds: float) -> str:
+    """Return a duration for a headline: `0.45 s`, `40 s`, `2 min 24 s`."""
+    return f"{seconds:.2g} s" if seconds < 9.95 else duration(seconds, 0)
 
 
 def clock(seconds: float) -> str:
@@ -125,7 +130,7 @@ def _differences(rows: list[Record], whole: float) -> Iterator[tuple[float, str,
             text += f", hence {warm[0]['away']:.0f} °C hotter"
             hot = []
         yield 40.0, text, row
-    limits = {row["field"]: row for row in rows if row["kind"] == "limit"}
+    limits = {row["field"]: row for row in rows if row["kind"] in ("limit", "left")}
     if hot:
         row, *others = hot
         end = "at the end" if row["end"] > whole - 10 else f"at {clock(row['end'])[:-4]}"
@@ -139,7 +144,8 @@ def _differences(rows: list[Record], whole: float) -> Iterator[tuple[float, str,
             if limit := limits.pop(one["field"], None):
                 text += f" ({_limit(limit, is_short=True)})"
         yield 60.0 if row["away"] > 0 else 30.0, text, row
-    for row in limits.values():
+    # Who warms as the others do is not called hot before it is.
+    for row in (row for row in limits.values() if row["kind"] == "limit"):
         yield 50.0, f"{row['title']} {_limit(row)}", row
     for row in rows:
         if row["kind"] == "sag":
@@ -152,6 +158,8 @@ def _differences(rows: list[Record], whole: float) -> Iterator[tuple[float, str,
 
 def _limit(row: Record, is_short: bool = False) -> str:
     limit = f"{row['limit']:g} {row['unit']}"
+    if row["kind"] == "left":
+        return f"{limit} {about(row['seconds'])} later"
     value = f"{row['value']:.1f} {row['unit']}, " * (not is_short)
     return f"{value}{row['word']} {limit} for {duration(row['seconds'])} from {clock(row['at'])}"
 
@@ -188,14 +196,14 @@ def headline(data: Record) -> tuple[str, str]:
     ):
         rows = [row for row in rest if row["kinds"] == [kind] and row["rows"][0]["is_command"] == is_command]
         if rows:
-            said.append((one if len(rows) == 1 else many).format(duration(_longest(rows, data)), n=len(rows)))
+            said.append((one if len(rows) == 1 else many).format(about(_longest(rows, data)), n=len(rows)))
     said += dict.fromkeys(row["what"] for row in rest if not {"silence", "disabled", "reboot"} & set(row["kinds"]))
     differs = data["differs"]
     loaded = {row["label"] for row in differs if row["kind"] == "level"}
     hot = {row["label"] for row in differs if (row["kind"] == "temperature" and row["away"] > 0)
            or (row["kind"] == "limit" and row["unit"] in DEGREES)}  # fmt: skip
     sags = [row for row in differs if row["kind"] == "sag"]
-    odd = {row["label"] for row in differs if row["kind"] != "sag"}
+    odd = {row["label"] for row in differs if row["kind"] not in ("left", "sag")}
     odd -= (hot - loaded) | {row["label"] for row in faults}
     said += [f"{count_of(len(hot - loaded), 'controller')} too hot"] if hot - loaded else []
     said += [f"battery down to {min(row['value'] for row in sags):.1f} V"] if sags else []
@@ -266,8 +274,8 @@ def table(data: Record) -> str:
 def _lines(incident: Record, data: Record) -> Iterator[str]:
     rows, card, details = incident["rows"], incident.pop("card", ""), _details(incident["rows"][0])
     if card or len(rows) > 1:
-        details = f"<button type=button aria-expanded=false>{'card of the fault' if card else f'{len(rows)} events'}"
-        details += "</button>"
+        text = "card of the fault" if card else f"{len(rows)} events"
+        details = f"<button type=button aria-expanded=false>{text}</button>"
     yield _line(data, "fault" if incident["is_fault"] else "", incident, incident["until"], details)
     if card:
         yield f"<tr class=part hidden><td colspan={len(HEADS)} class=card>{card}</td></tr>"
