@@ -561,24 +561,12 @@ def test_commands_of_the_document(home, folder, port, second, command):
 
 # CAN, and pyserial ----------------------------------------------------------------------------------------------------
 
-def has(module):
-    return subprocess.run([PYTHON, "-c", f"import {module}"], capture_output=True, check=False).returncode == 0
-
-
-@pytest.mark.skipif(not has("can"), reason="no python-can")
 def test_can_that_is_not_there(folder):
     extcap = Extcap(folder, "--adapter", "nonsense", "--channel", "x", interface="yapp-can")
     assert "nonsense x cannot be opened" in extcap.end(how=None, code=1)[1]
     assert "no adapter was chosen" in Extcap(folder, interface="yapp-can").end(how=None, code=1)[1]
 
 
-@pytest.mark.skipif(has("can"), reason="python-can is there")
-def test_without_python_can(folder):
-    extcap = Extcap(folder, "--adapter", "pcan", interface="yapp-can")
-    assert "python-can is needed" in extcap.end(how=None, code=1)[1]
-
-
-@pytest.mark.skipif(not has("serial"), reason="no pyserial")
 def test_the_way_of_windows(folder, port):
     """pyserial, on the same pseudo terminal."""
     program = folder / "windows.py"

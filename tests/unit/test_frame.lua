@@ -20,10 +20,6 @@ function T.test_the_largest()
   lu.assertEquals(frame.LARGEST, 12 + 0xFFFF + 4)
 end
 
-function T.test_crc()
-  lu.assertEquals(frame.crc("..\187\190\111\199", 6), 0xC76FBEBB)
-end
-
 -- A header has an ID up to 2047 and reserved bytes 0; a part of one may become it.
 function T.test_may_be_header()
   for header, expected in pairs {

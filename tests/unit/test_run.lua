@@ -44,6 +44,13 @@ local function notes(code, text)
   return self
 end
 
+-- A run with such a statistic.
+local function new_noted()
+  local queue, one = new_queue(), notes()
+  add(queue, one)
+  return queue, one
+end
+
 local function event_of(frame, name, kind, values)
   local m = { seq = 0, raws = name, remarks = {} }
   for key, value in pairs(values or {}) do m[key] = value end
@@ -54,44 +61,41 @@ local function offer(queue, frame, name, values, visited)
   queue:report(result_of(event_of(frame, name, "message", values), visited))
 end
 
+-- A packet comes with an event.
+local function come(queue, frame, name, values, visited)
+  offer(queue, frame, name, values, visited)
+  queue:packet(frame, frame)
+end
+
 -- A live capture went on in another file: its packets are none of this one, and nothing is lost at the end.
 function T.test_packets_of_another_file()
-  local queue, one = new_queue(), notes()
-  add(queue, one)
-  offer(queue, 1, "first")
-  queue:packet(1, 1)
+  local queue, one = new_noted()
+  come(queue, 1, "first")
   queue:stop()
-  offer(queue, 1, "of another")
-  queue:packet(1, 1)
+  come(queue, 1, "of another")
   finish(queue, { event_of(2, "cut", "unfinished") }, "not all")
   lu.assertEquals({ one.got, queue.packets }, { { "first" }, 1 })
 end
 
 -- Packets of a conversation that was unknown when they came.
 function T.test_events_of_earlier_packets()
-  local queue, one = new_queue(), notes()
-  add(queue, one)
+  local queue, one = new_noted()
   queue:packet(1, 1)
   queue:packet(2, 2)
-  offer(queue, 3, "b")
-  queue:packet(3, 3)
+  come(queue, 3, "b")
   offer(queue, 2, "c")
   offer(queue, 3, "of the latest packet")
-  offer(queue, 4, "d")
-  queue:packet(4, 4)
+  come(queue, 4, "d")
   finish(queue)
   lu.assertEquals(one.got, { "b", "c", "of the latest packet", "d" })
 end
 
 function T.test_messages_in_the_order_of_the_capture()
-  local queue, one = new_queue(), notes()
-  add(queue, one)
+  local queue, one = new_noted()
   queue:packet(1, 1)
   offer(queue, 2, "a")
-  offer(queue, 2, "b")
-  queue:packet(2, 2)
-  offer(queue, 3, "c")
-  queue:packet(3, 3)
+  come(queue, 2, "b")
+  come(queue, 3, "c")
   queue:packet(4, 8)
   queue:packet(5, 9)
   lu.assertEquals(finish(queue, { event_of(3, "d", "unfinished") }), { 0, {} })
@@ -103,8 +107,7 @@ function T.test_an_unreliable_history()
     local queue, one = new_queue(), notes()
     one.follows_changes = follows
     add(queue, one)
-    offer(queue, 1, "a", { is_unreliable = true })
-    queue:packet(1, 1)
+    come(queue, 1, "a", { is_unreliable = true })
     local found = finish(queue)
     lu.assertEquals({ found[1], #found[2], one.got }, { code, follows and 1 or 0, { "a" } })
   end
@@ -117,8 +120,7 @@ function T.test_the_first_of_two_passes_does_not_count()
     add(queue, one)
     for frame = 1, count do offer(queue, frame, "first", {}, false) end
     for frame = 1, count do
-      offer(queue, frame, "second", {}, true)
-      queue:packet(frame, frame)
+      come(queue, frame, "second", {}, true)
       expected[frame] = "second"
     end
     finish(queue)
@@ -128,34 +130,22 @@ end
 
 -- A message that a read filter rejects, or that is looked at between two passes over the file.
 function T.test_packets_that_no_tap_sees()
-  local queue, one = new_queue(), notes()
-  add(queue, one)
+  local queue, one = new_noted()
   offer(queue, 5, "rejected")
-  offer(queue, 6, "a")
-  queue:packet(6, 6)
+  come(queue, 6, "a")
   offer(queue, 7, "rejected")
   queue:packet(8, 8)
+  offer(queue, 9, "rejected by -2 -R: its number is another's in the second pass")
+  queue:packet(9, 9.5)
   finish(queue)
   lu.assertEquals(one.got, { "a" })
 end
 
--- tshark -2 -R: the number of a rejected packet is another's in the second pass.
-function T.test_the_number_of_a_rejected_packet()
-  local queue, one = new_queue(), notes()
-  add(queue, one)
-  offer(queue, 1, "rejected")
-  queue:packet(1, 1.5)
-  finish(queue)
-  lu.assertEquals(one.got, {})
-end
-
 function T.test_all_packets_come_again()
-  local queue, one = new_queue(), notes()
-  add(queue, one)
+  local queue, one = new_noted()
   offer(queue, 1, "clicked on", {}, true)
   queue:reset()
-  offer(queue, 1, "a", {}, true)
-  queue:packet(1, 1)
+  come(queue, 1, "a", {}, true)
   finish(queue)
   lu.assertEquals(one.got, { "a" })
 end
