@@ -276,8 +276,10 @@ def convert_one(
     """Convert one capture: a task for Dask, Prefect, Dagster or a loop.
 
     It may run twice at once, and be killed at any point: the data set then has the flight once, or not yet.
+
     out, to, bench: as for convert; made: what the machine that gives the order has of plugin and catalogue; this one
     must have the same.
+
     Returns the Result, whose `failure` says why there is no data. Raises SetupError where no other capture would do
     better on this machine, and YappError where the data set cannot be written.
     """

@@ -240,10 +240,7 @@ def _grid(times: Array, values: Array) -> Array:
 
 
 def _fits(own: Array, theirs: Array) -> list[tuple[float, float]]:
-    """Return (correlation, offset in seconds) of the best offset, and of the best one further than BETWEEN from it.
-
-    Half of the shorter one has to overlap. Sums over all offsets at once come of Fourier transforms.
-    """
+    """Return (correlation, offset in seconds) of the best offset, and of the best one further than BETWEEN from it."""
     size = 1 << (len(own) + len(theirs)).bit_length()
 
     def sums(a: Array, b: Array) -> Array:
