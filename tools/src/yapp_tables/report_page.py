@@ -122,7 +122,8 @@ def write_report(flight: Flight, path: Path, limits: Limits, told: Sequence[Reco
         "differs": merged(pictures.differs, count),
         "controllers": list(matrix.labels.values()),
         "flight": pictures.phases,
-        "has_default_limits": limits.is_default,
+        "limits": [f"{one['title']} at most {one['limits'][1]:g} {one['unit']}" for one in pictures.figures
+                   if limits.is_default and one["limits"][1] is not None],
         "margin": margin,
         "sources": pictures.sources,
         "times": pictures.times,

@@ -259,8 +259,8 @@ def _phases(data: Record) -> str:
     innocent = [label for label in data["controllers"] if label not in found]
     innocent += [] if any("bus" in row["kinds"] for row in data["incidents"]) else ["the buses"]
     flight = f"No findings about {', '.join(innocent)}. {flight}" if innocent else flight
-    if data["has_default_limits"]:
-        return f"{flight}Limits of temperatures: the default set of this page, not yours; --rules FILE draws yours."
+    if limits := ", ".join(data["limits"]):
+        return f"{flight}Limits: the default set of this page, not yours: {limits}; --rules FILE draws yours."
     return f"{flight}{data['margin']}"
 
 
