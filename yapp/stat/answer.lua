@@ -171,7 +171,8 @@ local function times_text(ending)
   local steps, why = ending.run.steps, ending.lacks_times
   if why then return NO_LENGTHS:format(why) .. (ending.are_coarse and "" or NO_COPIES) end
   if steps == 0 then return nil end
-  return STEPS:format(output.count(steps, "time")) .. (steps > 1 and MANY_STEPS or "")
+  local is_end_known = steps == 1 or ending.run.turn > 0 and not ending.hides_end
+  return STEPS:format(output.count(steps, "time")) .. (is_end_known and "" or MANY_STEPS)
 end
 
 -- Return the texts on all that the answer leaves out, and whether they make it undecided.
